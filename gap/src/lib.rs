@@ -1,0 +1,1 @@
+//! Why a simulation and a rig disagree: locate, name, fit and accept.

@@ -1,0 +1,1 @@
+//! Plant model of a piezo-driven flexure stage, running the same control core as the board.

@@ -1,0 +1,1 @@
+//! Recordings and sessions: the Parquet and CSV files that every flexstage tool reads and writes.

@@ -1,0 +1,2 @@
+//! Control core of flexstage.
+#![no_std]

@@ -1,0 +1,2 @@
+//! What a person or CI runs: firmware, emulate, test, bench.
+fn main() {}
