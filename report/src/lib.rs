@@ -1,1 +1,222 @@
-//! Self-contained HTML reports with plots.
+//! Self-contained HTML reports with plots that could go into a paper.
+//!
+//! A [`Report`] is a list of sections with paragraphs, tables and figures; it is one HTML file without scripts, fonts or
+//! links to anything outside itself, so that it can be mailed, archived and opened anywhere. Figures are inline SVG
+//! drawn by `plotters`; see [`plot`].
+//!
+//! ```
+//! use report::{Report, Table, plot::{LinePlot, Series}};
+//!
+//! let line = LinePlot::new("Return").x("time (s)").y("position (um)")
+//!     .series(Series::line("measured", vec![(0.0, 1.0), (1.0, 0.4)]));
+//! let html = Report::new("A return")
+//!     .verdict("It comes back.")
+//!     .section("Data")
+//!     .figure(&line, "Position after release.")
+//!     .table(Table::new(["time (s)", "position (um)"]).row(["0", "1.0"]))
+//!     .to_html();
+//! assert!(html.contains("<svg") && html.contains("It comes back."));
+//! ```
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+pub mod plot;
+
+use plot::Figure;
+
+const STYLE: &str = include_str!("style.css");
+
+/// A report under construction: call the methods in reading order, then [`Report::write`].
+pub struct Report {
+    title: String,
+    verdict: Option<String>,
+    body: Vec<Markup>,
+}
+
+/// A table of text cells, a header row first.
+pub struct Table {
+    header: Vec<String>,
+    rows: Vec<Vec<String>>,
+}
+
+impl Table {
+    /// An empty table with these column titles.
+    pub fn new<T: Into<String>>(header: impl IntoIterator<Item = T>) -> Self {
+        Self { header: header.into_iter().map(Into::into).collect(), rows: Vec::new() }
+    }
+
+    /// Add one row; cells that look like numbers are set flush right.
+    #[must_use]
+    pub fn row<T: Into<String>>(mut self, cells: impl IntoIterator<Item = T>) -> Self {
+        self.rows.push(cells.into_iter().map(Into::into).collect());
+        self
+    }
+
+    fn markup(&self) -> Markup {
+        html! {
+            div.scroll { table {
+                thead { tr { @for cell in &self.header { th { (cell) } } } }
+                tbody { @for row in &self.rows { tr { @for cell in row {
+                    td.num[is_number(cell)] { (cell) }
+                } } } }
+            } }
+        }
+    }
+}
+
+/// A cell is set as a number when it starts like one: digits, a sign, a bracket before a digit.
+fn is_number(cell: &str) -> bool {
+    let text = cell.trim_start_matches(['-', '+', '−', '<', '>', '≤', '≥', '±', '~', '[', ' ']);
+    text.starts_with(|c: char| c.is_ascii_digit())
+}
+
+impl Report {
+    /// A report without sections yet.
+    pub fn new(title: impl Into<String>) -> Self {
+        Self { title: title.into(), verdict: None, body: Vec::new() }
+    }
+
+    /// The one sentence that a reader in a hurry takes away; stands under the title.
+    #[must_use]
+    pub fn verdict(mut self, sentence: impl Into<String>) -> Self {
+        self.verdict = Some(sentence.into());
+        self
+    }
+
+    /// Start a section.
+    #[must_use]
+    pub fn section(mut self, heading: impl AsRef<str>) -> Self {
+        self.body.push(html! { h2 { (heading.as_ref()) } });
+        self
+    }
+
+    /// A paragraph of plain text.
+    #[must_use]
+    pub fn paragraph(mut self, text: impl AsRef<str>) -> Self {
+        self.body.push(html! { p { (text.as_ref()) } });
+        self
+    }
+
+    /// One figure over the whole width.
+    #[must_use]
+    pub fn figure(mut self, figure: &impl Figure, caption: impl AsRef<str>) -> Self {
+        self.body.push(figure_markup(figure, caption.as_ref()));
+        self
+    }
+
+    /// Several figures side by side, as many in a row as the page holds.
+    #[must_use]
+    pub fn figures<C: AsRef<str>>(
+        mut self,
+        figures: impl IntoIterator<Item = (Box<dyn Figure>, C)>,
+    ) -> Self {
+        self.body.push(html! { div.grid {
+            @for (figure, caption) in figures { (figure_markup(figure.as_ref(), caption.as_ref())) }
+        } });
+        self
+    }
+
+    /// A table.
+    #[must_use]
+    pub fn table(mut self, table: Table) -> Self {
+        self.body.push(table.markup());
+        self
+    }
+
+    /// Lines that open on a click: what only some readers want.
+    #[must_use]
+    pub fn details<T: AsRef<str>>(
+        mut self,
+        summary: impl AsRef<str>,
+        lines: impl IntoIterator<Item = T>,
+    ) -> Self {
+        self.body.push(html! { details {
+            summary { (summary.as_ref()) }
+            @for line in lines { p { (line.as_ref()) } }
+        } });
+        self
+    }
+
+    /// The whole document.
+    pub fn to_html(&self) -> String {
+        html! {
+            (DOCTYPE)
+            html lang="en" {
+                head {
+                    meta charset="utf-8";
+                    meta name="viewport" content="width=device-width, initial-scale=1";
+                    title { (self.title) }
+                    style { (PreEscaped(STYLE)) }
+                }
+                body {
+                    h1 { (self.title) }
+                    @if let Some(verdict) = &self.verdict { p.verdict { (verdict) } }
+                    @for part in &self.body { (part) }
+                }
+            }
+        }
+        .into_string()
+    }
+
+    /// Write the document; an existing file is replaced whole or, on an error, left as it was.
+    ///
+    /// # Errors
+    /// When the folder is not there or cannot be written.
+    pub fn write(&self, path: impl AsRef<Path>) -> io::Result<()> {
+        let path = path.as_ref();
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let mut file = tempfile::NamedTempFile::new_in(folder)?;
+        file.write_all(self.to_html().as_bytes())?;
+        file.persist(path).map_err(|error| error.error)?;
+        Ok(())
+    }
+}
+
+fn figure_markup(figure: &dyn Figure, caption: &str) -> Markup {
+    html! { figure { (PreEscaped(figure.svg())) figcaption { (caption) } } }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_is_escaped() {
+        let html = Report::new("a < b").verdict("x & y").paragraph("<script>").to_html();
+        assert!(html.contains("a &lt; b") && html.contains("x &amp; y"));
+        assert!(!html.contains("<script>"));
+    }
+
+    #[test]
+    fn a_report_refers_to_nothing_outside_itself() {
+        let plot =
+            plot::LinePlot::new("t").series(plot::Series::line("s", vec![(0.0, 0.0), (1.0, 1.0)]));
+        let html = Report::new("r").figure(&plot, "c").to_html();
+        for outside in ["src=", "href=", "@import", "url("] {
+            assert!(!html.contains(outside), "{outside}");
+        }
+    }
+
+    #[test]
+    fn a_failed_write_leaves_the_old_file() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let path = folder.path().join("report.html");
+        Report::new("old").write(&path).expect("written");
+        assert!(Report::new("new").write(folder.path().join("missing/report.html")).is_err());
+        assert!(std::fs::read_to_string(&path).expect("read").contains("old"));
+        assert_eq!(std::fs::read_dir(folder.path()).expect("listed").count(), 1);
+    }
+
+    #[test]
+    fn numbers_are_recognised() {
+        for cell in ["12", "-0.3 nm", "[1, 2]", "±4", "< 5"] {
+            assert!(is_number(cell), "{cell}");
+        }
+        for cell in ["creep", "", "-", "n/a"] {
+            assert!(!is_number(cell), "{cell}");
+        }
+    }
+}
