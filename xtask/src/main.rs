@@ -1,2 +1,35 @@
-//! What a person or CI runs: firmware, emulate, test, bench.
-fn main() {}
+//! What a person or CI runs: `cargo xtask test`, `cargo xtask firmware`, `cargo xtask emulate`.
+//!
+//! One module a command. All of them work from any folder of the checkout.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use clap::{Parser, Subcommand};
+
+mod debian;
+mod test;
+
+#[derive(Parser)]
+#[command(name = "cargo xtask")]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Everything that has to pass: format, lints, tests, firmware, emulation.
+    Test(test::Args),
+}
+
+fn main() -> Result<()> {
+    match Cli::parse().command {
+        Command::Test(args) => test::run(&args),
+    }
+}
+
+/// The checkout that this program was built from.
+pub fn workspace() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().map_or_else(PathBuf::new, Path::to_path_buf)
+}

@@ -1,0 +1,115 @@
+//! `cargo xtask test`: everything that has to pass before a change lands.
+//!
+//! Steps run in order and all of them run, so that one run shows all that is wrong. A step whose tools are missing on
+//! this machine is skipped with one line that says why, but not where `CI=true`.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, bail};
+use xshell::{Shell, cmd};
+
+use crate::debian::{self, Need};
+
+/// Options of `cargo xtask test`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Only the steps whose name contains this.
+    #[arg(long)]
+    only: Option<String>,
+}
+
+/// How a step ended, other than with an error.
+enum Outcome {
+    Passed,
+    Skipped(String),
+}
+
+struct Step {
+    name: &'static str,
+    run: fn(&Shell) -> Result<Outcome>,
+}
+
+const STEPS: &[Step] = &[
+    Step { name: "format", run: format },
+    Step { name: "lints", run: lints },
+    Step { name: "host tests", run: host_tests },
+    Step { name: "documentation", run: documentation },
+];
+
+/// Run all steps, then print how each ended.
+///
+/// # Errors
+/// When a step failed, or was skipped where `CI=true`.
+pub fn run(args: &Args) -> Result<()> {
+    let shell = Shell::new()?;
+    shell.change_dir(crate::workspace());
+    let in_ci = std::env::var("CI").is_ok_and(|value| value == "true");
+    let wanted =
+        |step: &&Step| args.only.as_ref().is_none_or(|only| step.name.contains(only.as_str()));
+    let mut lines = Vec::new();
+    let (mut passed, mut failed, mut skipped) = (0, 0, 0);
+    for step in STEPS.iter().filter(wanted) {
+        println!("== {} ==", step.name);
+        let start = Instant::now();
+        let outcome = (step.run)(&shell);
+        let how = match outcome {
+            Ok(Outcome::Passed) => {
+                passed += 1;
+                "passed".to_string()
+            }
+            Ok(Outcome::Skipped(why)) if !in_ci => {
+                skipped += 1;
+                format!("SKIPPED: {why}")
+            }
+            Ok(Outcome::Skipped(why)) => {
+                failed += 1;
+                format!("FAILED: not to be skipped in CI: {why}")
+            }
+            Err(error) => {
+                failed += 1;
+                format!("FAILED: {error:#}")
+            }
+        };
+        lines.push(format!("{:<14} {:>7}  {how}", step.name, clock(start.elapsed())));
+    }
+    println!("\n{}\nsteps: {passed} passed, {failed} failed, {skipped} skipped", lines.join("\n"));
+    if failed > 0 {
+        bail!("{failed} of the steps failed");
+    }
+    Ok(())
+}
+
+fn clock(time: Duration) -> String {
+    format!("{}:{:02}", time.as_secs() / 60, time.as_secs() % 60)
+}
+
+fn format(shell: &Shell) -> Result<Outcome> {
+    cmd!(shell, "cargo fmt --all --check").run()?;
+    Ok(Outcome::Passed)
+}
+
+fn lints(shell: &Shell) -> Result<Outcome> {
+    cmd!(
+        shell,
+        "cargo clippy --release --workspace --exclude emulator --all-targets -- -D warnings"
+    )
+    .run()?;
+    Ok(Outcome::Passed)
+}
+
+/// All crates that need neither an Arm target nor unicorn, with the browser that looks at the reports.
+fn host_tests(shell: &Shell) -> Result<Outcome> {
+    if let Err(error) =
+        debian::ensure(shell, &[Need { program: "chromium", packages: &["chromium"] }])
+    {
+        println!("{error:#}; tests that render a report say that they skip");
+    }
+    cmd!(shell, "cargo test --release --workspace --exclude emulator").run()?;
+    Ok(Outcome::Passed)
+}
+
+fn documentation(shell: &Shell) -> Result<Outcome> {
+    let _env = shell.push_env("RUSTDOCFLAGS", "-D warnings");
+    cmd!(shell, "cargo doc --release --workspace --exclude emulator --no-deps").run()?;
+    Ok(Outcome::Passed)
+}
