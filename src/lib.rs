@@ -1,2 +1,3 @@
 //! Control core of flexstage.
 #![no_std]
+pub mod link;

@@ -1,0 +1,3 @@
+//! Placeholder
+/// hash
+pub const SCHEMA_HASH: u32 = 1;
