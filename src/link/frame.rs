@@ -175,7 +175,8 @@ fn parse(bytes: &[u8]) -> Parsed<'_> {
             return Parsed::Not(FrameError::Kind);
         }
     }
-    let Some(&[_, _, version, kind, s0, s1, s2, s3, l0, l1, q0, q1]) = bytes.first_chunk::<HEADER>()
+    let Some(&[_, _, version, kind, s0, s1, s2, s3, l0, l1, q0, q1]) =
+        bytes.first_chunk::<HEADER>()
     else {
         return Parsed::More;
     };
