@@ -1,1 +1,21 @@
 //! Plant model of a piezo-driven flexure stage, running the same control core as the board.
+//!
+//! - [`Rig`]: the rig as it is known, from TOML, with the settings of effects
+//! - [`effects`]: what a rig may do beyond its nominal model, one file each
+//! - [`simulate`](fn@simulate): whole recordings without noise, for fits and replays
+//! - [`Plant`]: a tick at a time with noise and rounding, for closed loops
+//!
+//! Lengths in m, voltages in V, times in s unless a name ends in another unit.
+
+pub mod effects;
+mod plant;
+pub mod rig;
+mod simulate;
+pub mod stages;
+mod start;
+
+pub use effects::Place;
+pub use plant::{Options, Plant, Sample};
+pub use rig::{Rig, RigError};
+pub use simulate::{Axes, Input, MAX_TICKS, Output, SimError, simulate};
+pub use start::{Initial, Memory};

@@ -1,0 +1,57 @@
+//! amplifier-clipping: the output saturates inside the rails, hard or soft.
+
+use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
+use crate::stages::model::{Model, OutputBlock};
+
+pub(super) struct AmplifierClipping;
+
+pub(super) const EFFECT: AmplifierClipping = AmplifierClipping;
+
+static INFO: Info = Info {
+    name: "amplifier-clipping",
+    stage: Stage::Amplifier,
+    kind: Kind::Structural,
+    scope: Scope::Axis,
+    parameters: &[
+        Parameter::size("max_v", "V", 1.0e3, (-1.0e3, 1.0e3), 85.0, "highest output; 1000 V is none"),
+        Parameter::size("min_v", "V", -1.0e3, (-1.0e3, 1.0e3), 1.0, "lowest output; -1000 V is none"),
+        Parameter::shape("softness_v", "V", (1.0e-3, 50.0), 0.1, "width of the bend").by_ratio(),
+    ],
+    threshold: true,
+    physics: "v = max - s ln(1 + e^((max - v0)/s)) and the same below: supply too low, a clamp, a sagging output stage. \
+              s -> 0 is a hard stop. The kink stands at one voltage, whatever the displacement.",
+    source: "rails -10 and 150 V of the ENV 400, clamp at -10 V (notes/physics.md, sections 1 and 4)",
+    revealed_by: "large triangles; the monitor",
+    confused_with: &["amplifier-current-limit", "preload-loss", "sensor-nonlinearity", "stiffness-hardening"],
+};
+
+struct Clip {
+    max_v: f64,
+    min_v: f64,
+    softness_v: f64,
+}
+
+impl OutputBlock for Clip {
+    fn output(&mut self, v: f64, _time_s: f64) -> f64 {
+        let s = self.softness_v;
+        let v = self.max_v - s * softplus((self.max_v - v) / s);
+        self.min_v + s * softplus((v - self.min_v) / s)
+    }
+}
+
+/// `ln(1 + e^x)` without overflow.
+fn softplus(x: f64) -> f64 {
+    x.max(0.0) + (-x.abs()).exp().ln_1p()
+}
+
+impl Effect for AmplifierClipping {
+    fn info(&self) -> &'static Info {
+        &INFO
+    }
+
+    fn apply(&self, values: &[f64], place: Place, model: &mut Model, _step_s: f64) {
+        let (max_v, min_v) = (values[0], values[1].min(values[0]));
+        let clip = Clip { max_v, min_v, softness_v: values[2] };
+        model.axes[place.on()].amplifier.output.push(Box::new(clip));
+    }
+}

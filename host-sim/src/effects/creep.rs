@@ -1,0 +1,48 @@
+//! creep: the stack goes on growing with the logarithm of time.
+
+use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
+use crate::stages::model::{Kelvin, Model};
+
+pub(super) struct Creep;
+
+pub(super) const EFFECT: Creep = Creep;
+
+static INFO: Info = Info {
+    name: "creep",
+    stage: Stage::Piezo,
+    kind: Kind::Structural,
+    scope: Scope::Axis,
+    parameters: &[
+        Parameter::size("per_decade", "1", 0.0, (-0.1, 0.3), 0.015, "growth of the stroke a decade of time"),
+        Parameter::shape("onset_s", "s", (1.0e-3, 10.0), 0.1, "time after a step from which it is counted").by_ratio(),
+    ],
+    threshold: false,
+    physics: "A step of the transducer voltage goes on as x(t) = x0 (1 + per_decade lg(t/onset)): domains that switch \
+              late. Built as a chain of slow strains in front of the stack's stiffness, two a decade from onset to \
+              1e5 onset, each exact over a tick. Restarts at every step, in proportion to it; draws charge.",
+    source: "1 to 2 % a decade from 0.1 s (notes/physics.md, sections 2 and 4, S13)",
+    revealed_by: "steps held for ten seconds and more, at two heights",
+    confused_with: &["viscoelasticity", "sensor-drift", "hysteresis-rate"],
+};
+
+/// Slow strains a decade of time constants.
+const PER_DECADE: usize = 2;
+/// Decades that the chain spans.
+const DECADES: usize = 5;
+
+impl Effect for Creep {
+    fn info(&self) -> &'static Info {
+        &INFO
+    }
+
+    fn apply(&self, values: &[f64], place: Place, model: &mut Model, _step_s: f64) {
+        let (per_decade, onset_s) = (values[0], values[1]);
+        let share = per_decade / PER_DECADE as f64;
+        // With time constants from onset * 10^(1/2) on, the chain's growth is per_decade * lg(t/onset).
+        let strains = (0..PER_DECADE * DECADES).map(|j| Kelvin {
+            share,
+            time_constant_s: onset_s * 10f64.powf(0.5 + j as f64 / PER_DECADE as f64),
+        });
+        model.axes[place.on()].piezo.creep.extend(strains);
+    }
+}

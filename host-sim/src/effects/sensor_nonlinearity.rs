@@ -1,0 +1,47 @@
+//! sensor-nonlinearity: the reading bends with displacement.
+
+use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
+use crate::stages::model::{Model, SensorBlock};
+
+pub(super) struct SensorNonlinearity;
+
+pub(super) const EFFECT: SensorNonlinearity = SensorNonlinearity;
+
+static INFO: Info = Info {
+    name: "sensor-nonlinearity",
+    stage: Stage::Sensor,
+    kind: Kind::Structural,
+    scope: Scope::Axis,
+    parameters: &[
+        Parameter::size("quadratic_per_m", "1/m", 0.0, (-1.0e6, 1.0e6), 1.0e3, "second-order term"),
+        Parameter::size("cubic_per_m2", "1/m^2", 0.0, (-1.0e12, 1.0e12), 1.0e8, "third-order term"),
+    ],
+    threshold: false,
+    physics: "y = x + quadratic x^2 + cubic x^3: bridge and conditioner. A static function of the displacement: gain \
+              moves with bias, the resonance does not, the monitor shows nothing.",
+    source: "gauge accuracy 1 %; ADC integral error of 2 to 3 LSB (notes/physics.md, sections 4 and 7)",
+    revealed_by: "large triangles, small signals at several biases",
+    confused_with: &["stiffness-hardening", "hysteresis-shape", "preload-loss"],
+};
+
+struct Bend {
+    quadratic: f64,
+    cubic: f64,
+}
+
+impl SensorBlock for Bend {
+    fn read(&mut self, value_m: f64, _bare_m: &[f64], _time_s: f64) -> f64 {
+        value_m + value_m * value_m * (self.quadratic + self.cubic * value_m)
+    }
+}
+
+impl Effect for SensorNonlinearity {
+    fn info(&self) -> &'static Info {
+        &INFO
+    }
+
+    fn apply(&self, values: &[f64], place: Place, model: &mut Model, _step_s: f64) {
+        let bend = Bend { quadratic: values[0], cubic: values[1] };
+        model.axes[place.on()].sensor.blocks.push(Box::new(bend));
+    }
+}

@@ -1,0 +1,40 @@
+//! stiffness-coupling: the mechanism carries force from one stack to another.
+
+use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
+use crate::stages::model::{CouplingSpring, Model};
+
+pub(super) struct StiffnessCoupling;
+
+pub(super) const EFFECT: StiffnessCoupling = StiffnessCoupling;
+
+static INFO: Info = Info {
+    name: "stiffness-coupling",
+    stage: Stage::Mechanism,
+    kind: Kind::Structural,
+    scope: Scope::ReciprocalPair,
+    parameters: &[Parameter::size(
+        "stiffness_n_per_m",
+        "N/m",
+        0.0,
+        (-1.0e9, 1.0e9),
+        2.0e5,
+        "off-diagonal entry of the stiffness matrix",
+    )],
+    threshold: false,
+    physics: "F_i = -k_ij x_j and F_j = -k_ij x_i: the flexure mechanism is one body. The neighbour moves by \
+              -k_ij/(k_p + k) of the motion, statically and through its own resonance, whatever its voltage.",
+    source: "pseudo-rigid-body model of a 3-RRR: 0.14e6 N/m off, 0.98e6 on the diagonal (notes/physics.md, section 5)",
+    revealed_by: "one axis driven alone, others held at two voltages; neighbours' resonance in cross responses",
+    confused_with: &["sensor-crosstalk", "drive-crosstalk"],
+};
+
+impl Effect for StiffnessCoupling {
+    fn info(&self) -> &'static Info {
+        &INFO
+    }
+
+    fn apply(&self, values: &[f64], place: Place, model: &mut Model, _step_s: f64) {
+        let axes = (place.on(), place.from());
+        model.springs.push(CouplingSpring { axes, stiffness_n_per_m: values[0] });
+    }
+}

@@ -1,0 +1,228 @@
+//! The plant a tick at a time, with noise and rounding: what a controller, the emulator or the virtual board closes
+//! its loop around.
+
+use rand::rngs::Xoshiro256PlusPlus;
+use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
+
+use crate::rig::Rig;
+use crate::simulate::SimError;
+use crate::stages::axis::AxisSim;
+use crate::stages::group::Group;
+use crate::stages::model::Model;
+use crate::stages::sensor::SensorSim;
+use crate::start::Initial;
+
+/// How a plant is run.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Options {
+    /// Rate of the ticks, Hz; `None`: the rig's.
+    pub sample_rate_hz: Option<f64>,
+    /// Seed of the noise.
+    pub seed: u64,
+    /// Start on the session's clock, s.
+    pub start_s: f64,
+    /// Whether readings carry noise and rounding.
+    pub noise: bool,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { sample_rate_hz: None, seed: 0, start_s: 0.0, noise: true }
+    }
+}
+
+/// One axis at a tick.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Sample {
+    /// True displacement of the axis, m.
+    pub true_m: f64,
+    /// Reading of its sensor, m.
+    pub sensed_m: f64,
+    /// Reading of the amplifier output, V; without noise when the rig has no monitor.
+    pub monitor_v: f64,
+}
+
+/// A rig being simulated.
+///
+/// ```
+/// use host_sim::{Options, Plant, Rig};
+/// let rig = Rig::named("handley").unwrap();
+/// let mut plant = Plant::new(&rig, Options::default()).unwrap();
+/// for _ in 0..1000 {
+///     plant.step(&[60.0, 0.0, 0.0]);
+/// }
+/// assert!(plant.sample()[0].true_m > 5.0e-6);
+/// ```
+pub struct Plant {
+    groups: Vec<Group>,
+    sensors: SensorSim,
+    /// Group and slot of each axis.
+    place: Vec<(usize, usize)>,
+    converters: Vec<Converter>,
+    random: Xoshiro256PlusPlus,
+    noise: bool,
+    samples: Vec<Sample>,
+    readings_m: Vec<f64>,
+    initial: Vec<Initial>,
+    started: bool,
+    sampled: bool,
+    tick: u64,
+    step_s: f64,
+    start_s: f64,
+}
+
+#[derive(Clone, Copy)]
+struct Converter {
+    noise_m: f64,
+    resolution_m: f64,
+    noise_v: f64,
+    resolution_v: f64,
+}
+
+impl Plant {
+    /// Build a rig; at rest, depoled, until the first tick.
+    pub fn new(rig: &Rig, options: Options) -> Result<Self, SimError> {
+        rig.validate().map_err(|error| SimError(error.to_string()))?;
+        let rate = options.sample_rate_hz.unwrap_or(rig.sample_rate_hz);
+        if !(1.0..=1.0e6).contains(&rate) {
+            return Err(SimError(format!("sample_rate_hz: expected 1 to 1000000, found {rate}")));
+        }
+        let step_s = 1.0 / rate;
+        let mut model = Model::new(rig, step_s);
+        let sensors = SensorSim::new(&mut model.axes, model.output_map.take());
+        let axes = model.axes.into_iter().map(|axis| AxisSim::new(axis, step_s)).collect();
+        let groups = Group::split(axes, &model.springs);
+        let n = rig.axes.len();
+        let mut place = vec![(0, 0); n];
+        for (group, members) in groups.iter().map(|group| &group.members).enumerate() {
+            for (slot, &axis) in members.iter().enumerate() {
+                place[axis] = (group, slot);
+            }
+        }
+        let converter = |axis: &crate::rig::Axis| Converter {
+            noise_m: axis.sensor.noise_rms_m,
+            resolution_m: axis.sensor.resolution_m,
+            noise_v: axis.monitor.as_ref().map_or(0.0, |m| m.noise_rms_v),
+            resolution_v: axis.monitor.as_ref().map_or(0.0, |m| m.resolution_v),
+        };
+        Ok(Self {
+            groups,
+            sensors,
+            place,
+            converters: rig.axes.iter().map(converter).collect(),
+            random: Xoshiro256PlusPlus::seed_from_u64(options.seed),
+            noise: options.noise,
+            samples: vec![Sample::default(); n],
+            readings_m: vec![0.0; n],
+            initial: vec![Initial { amplifier_v: Some(0.0), ..Initial::default() }; n],
+            started: false,
+            sampled: false,
+            tick: 0,
+            step_s,
+            start_s: options.start_s,
+        })
+    }
+
+    /// Number of axes.
+    pub fn axes(&self) -> usize {
+        self.place.len()
+    }
+
+    /// Session time of this tick, s.
+    pub fn time_s(&self) -> f64 {
+        self.start_s + self.tick as f64 * self.step_s
+    }
+
+    /// Time from tick to tick, s.
+    pub fn step_s(&self) -> f64 {
+        self.step_s
+    }
+
+    /// State of an axis at this tick.
+    pub fn state(&mut self, axis: usize) -> Initial {
+        self.start();
+        let (group, slot) = self.place[axis];
+        self.groups[group].axes()[slot].state()
+    }
+
+    /// Begin from this state instead of a rested stack at 0 V. Only before the first tick: later calls restart the
+    /// whole plant at this tick.
+    pub fn set_initial(&mut self, axis: usize, initial: Initial) {
+        self.initial[axis] = initial;
+        self.started = false;
+        self.sampled = false;
+    }
+
+    /// What is read at this tick, before its drive acts. Asked again in the same tick, the answer is the same.
+    pub fn sample(&mut self) -> &[Sample] {
+        self.start();
+        if !self.sampled {
+            self.read();
+            self.sampled = true;
+        }
+        &self.samples
+    }
+
+    /// Hold a drive (V, one value an axis) to the next tick. A voltage that is not a number counts as 0 V.
+    ///
+    /// # Panics
+    /// When there are fewer voltages than axes.
+    pub fn advance(&mut self, drive_v: &[f64]) {
+        self.start();
+        // The noise of a tick is drawn even if nobody looks at it: the rest of the run does not depend on it.
+        self.sample();
+        self.tick += 1;
+        let time_s = self.time_s();
+        let command = |axis: usize| if drive_v[axis].is_finite() { drive_v[axis] } else { 0.0 };
+        for group in &mut self.groups {
+            group.advance(command, |_| None, time_s);
+        }
+        self.sampled = false;
+    }
+
+    /// `sample`, then `advance`.
+    pub fn step(&mut self, drive_v: &[f64]) -> &[Sample] {
+        self.advance(drive_v);
+        &self.samples
+    }
+
+    fn start(&mut self) {
+        if self.started {
+            return;
+        }
+        self.started = true;
+        let time_s = self.time_s();
+        let initial = &self.initial;
+        for group in &mut self.groups {
+            let asked = |axis: usize| initial[axis].amplifier_v.unwrap_or(0.0);
+            group.start(asked, |axis| &initial[axis], |_| None, time_s);
+        }
+    }
+
+    fn read(&mut self) {
+        let time_s = self.time_s();
+        let (groups, place) = (&self.groups, &self.place);
+        let axis = |axis: usize| -> &AxisSim {
+            let (group, slot) = place[axis];
+            &groups[group].axes()[slot]
+        };
+        self.sensors.read(|k| axis(k).position_m(), time_s, |_| true, &mut self.readings_m);
+        for (k, sample) in self.samples.iter_mut().enumerate() {
+            let converter = self.converters[k];
+            let mut noisy = |value: f64, rms: f64, resolution: f64| {
+                if !self.noise {
+                    return value;
+                }
+                let noise: f64 = if rms > 0.0 { self.random.sample(StandardNormal) } else { 0.0 };
+                let value = value + rms * noise;
+                if resolution > 0.0 { (value / resolution).round() * resolution } else { value }
+            };
+            *sample = Sample {
+                true_m: axis(k).position_m(),
+                sensed_m: noisy(self.readings_m[k], converter.noise_m, converter.resolution_m),
+                monitor_v: noisy(axis(k).output_v(), converter.noise_v, converter.resolution_v),
+            };
+        }
+    }
+}

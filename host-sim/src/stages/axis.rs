@@ -1,0 +1,284 @@
+//! One axis from amplifier output to displacement, a tick at a time.
+//!
+//! A tick is `begin` (the amplifier goes to its output at the end), `solve` (charge and displacement at the end, any
+//! number of times while neighbours are being solved), `commit`.
+
+use super::amplifier::AmplifierSim;
+use super::hysteresis::{Branch, MaxwellElements};
+use super::mechanism::LinearMechanism;
+use super::model::{AxisModel, Force, Kelvin, RateLaw};
+use crate::start::{Initial, Memory};
+
+/// Displacement at which a solve with nonlinear forces has converged, m.
+const TOLERANCE_M: f64 = 1.0e-15;
+
+/// One axis with its state.
+pub struct AxisSim {
+    /// From command to amplifier output.
+    pub amplifier: AmplifierSim,
+    elements: MaxwellElements,
+    mechanism: LinearMechanism,
+    forces: Vec<Box<dyn Force>>,
+    creep: Vec<CreepSim>,
+    rate: Option<Box<dyn RateLaw>>,
+    transformer: f64,
+    capacitance: f64,
+    drag_v_per_c: f64,
+    skew_per_c: f64,
+    step_s: f64,
+    // State at the start of the tick.
+    output_v: f64,
+    transducer_v: f64,
+    force_n: f64,
+    // Of the tick being solved.
+    input_v: f64,
+    free_m: f64,
+    slow_v: f64,
+    slow_per_v: f64,
+    limit_scale: f64,
+    next_transducer_v: f64,
+    next_position_m: f64,
+    next_force_n: f64,
+}
+
+/// One slow strain: exact for a transducer voltage that is straight over the tick.
+struct CreepSim {
+    state_v: f64,
+    decay: f64,
+    from_start: f64,
+    from_end: f64,
+    share: f64,
+}
+
+impl CreepSim {
+    fn new(kelvin: Kelvin, step_s: f64) -> Self {
+        let ratio = step_s / kelvin.time_constant_s;
+        let decay = (-ratio).exp();
+        // First-order response to a ramp: mean weight of the tick minus its end.
+        let rise = -(-ratio).exp_m1();
+        let from_end = if ratio > 1.0e-4 {
+            1.0 - rise / ratio
+        } else {
+            ratio / 2.0 - ratio * ratio / 6.0
+        };
+        Self {
+            state_v: 0.0,
+            decay,
+            from_start: kelvin.share * (rise - from_end),
+            from_end: kelvin.share * from_end,
+            share: kelvin.share,
+        }
+    }
+}
+
+impl AxisSim {
+    /// Build from a model, which gives up its blocks, for a tick of `step_s`.
+    pub fn new(model: AxisModel, step_s: f64) -> Self {
+        let shape_s = model.amplifier.time_constant_s;
+        let mechanism = LinearMechanism::new(&model, step_s, shape_s);
+        let piezo = model.piezo;
+        Self {
+            elements: MaxwellElements::new(&piezo.slopes_v_per_c, &piezo.limits_v),
+            mechanism,
+            forces: model.mechanism.forces,
+            creep: piezo.creep.iter().map(|kelvin| CreepSim::new(*kelvin, step_s)).collect(),
+            rate: piezo.rate,
+            transformer: piezo.transformer_n_per_v,
+            capacitance: piezo.capacitance_f,
+            drag_v_per_c: piezo.resistance_ohm / step_s,
+            skew_per_c: piezo.skew_per_c,
+            step_s,
+            amplifier: AmplifierSim::new(model.drive, model.amplifier, step_s),
+            output_v: 0.0,
+            transducer_v: 0.0,
+            force_n: 0.0,
+            input_v: 0.0,
+            free_m: 0.0,
+            slow_v: 0.0,
+            slow_per_v: 0.0,
+            limit_scale: 1.0,
+            next_transducer_v: 0.0,
+            next_position_m: 0.0,
+            next_force_n: 0.0,
+        }
+    }
+
+    /// Come to rest at an initial state, with `target_v` asked of the amplifier; `output_v` overrides its output.
+    pub fn start(&mut self, initial: &Initial, target_v: f64, time_s: f64, output_v: Option<f64>) {
+        self.amplifier.start(initial.amplifier_v.unwrap_or(target_v), target_v);
+        self.output_v = output_v.unwrap_or_else(|| self.amplifier.output_v(time_s));
+        match &initial.memory {
+            Memory::Virgin => self.elements.set_voltages(|_, _, _| 0.0),
+            Memory::Swept(charge) => self.elements.set_voltages(|slope, _, _| slope * charge),
+            Memory::Elements(volts) => {
+                self.elements.set_voltages(|_, _, i| volts.get(i).copied().unwrap_or(0.0));
+            }
+        }
+        for creep in &mut self.creep {
+            creep.state_v = creep.share * initial.held_v;
+        }
+        self.rest(0.0);
+        for force in &mut self.forces {
+            force.commit(self.mechanism.position_m(), 0.0);
+        }
+        self.rest(0.0);
+    }
+
+    /// Find the resting place at the present output voltage and memory under a force from outside, N.
+    pub fn rest(&mut self, outside_n: f64) {
+        let slow: f64 = self.creep.iter().map(|creep| creep.state_v).sum();
+        let mut charge = 0.0;
+        for _ in 0..100 {
+            let before = (charge, self.mechanism.position_m());
+            let weight = 1.0 + self.skew_per_c * charge;
+            self.transducer_v = self.output_v - self.elements.sum_v() * weight;
+            let (pushed, slope) = self.forces_at(before.1);
+            let stiffness = 1.0 / self.mechanism.compliance_m_per_n();
+            let driven = self.transformer * (self.transducer_v + slow) + outside_n;
+            let x = (driven + pushed - slope * before.1) / (stiffness - slope);
+            self.force_n = x * stiffness;
+            self.mechanism.rest_under(self.force_n);
+            charge = self.transformer * x + self.capacitance * self.transducer_v;
+            if (x - before.1).abs() <= TOLERANCE_M && (charge - before.0).abs() <= 1.0e-18 {
+                break;
+            }
+        }
+        self.elements.set_charge(charge);
+    }
+
+    /// Output of the amplifier at this tick, V.
+    pub fn output_v(&self) -> f64 {
+        self.output_v
+    }
+
+    /// Displacement at this tick, m.
+    #[inline]
+    pub fn position_m(&self) -> f64 {
+        self.mechanism.position_m()
+    }
+
+    /// Displacement at the end of the tick as last solved, m.
+    #[inline]
+    pub fn next_position_m(&self) -> f64 {
+        self.next_position_m
+    }
+
+    /// The state at this tick, to start from later.
+    pub fn state(&self) -> Initial {
+        let shares: f64 = self.creep.iter().map(|creep| creep.share).sum();
+        let slow: f64 = self.creep.iter().map(|creep| creep.state_v).sum();
+        Initial {
+            amplifier_v: Some(self.amplifier.state_v()),
+            memory: Memory::Elements(self.elements.voltages().to_vec()),
+            held_v: if shares != 0.0 { slow / shares } else { self.transducer_v },
+        }
+    }
+
+    /// Send a target to the amplifier for the tick that ends at `time_s`.
+    #[inline]
+    pub fn begin(&mut self, target_v: f64, time_s: f64) {
+        let load_f = self.load_f();
+        let output_v = self.amplifier.advance(target_v, load_f, time_s);
+        self.begin_at(output_v);
+    }
+
+    /// Begin a tick at whose end the amplifier's output is known.
+    #[inline]
+    pub fn begin_at(&mut self, output_v: f64) {
+        self.input_v = output_v;
+        self.free_m = self.mechanism.free_position_m(self.force_n);
+        self.next_position_m = self.mechanism.position_m();
+        if !self.creep.is_empty() {
+            self.slow_v = 0.0;
+            self.slow_per_v = 0.0;
+            for creep in &self.creep {
+                self.slow_v += creep.decay * creep.state_v + creep.from_start * self.transducer_v;
+                self.slow_per_v += creep.from_end;
+            }
+        }
+        if let Some(rate) = &self.rate {
+            let current = (output_v - self.output_v) * self.load_f() / self.step_s;
+            self.limit_scale = rate.scale(current.abs());
+        }
+    }
+
+    /// Solve for the end of the tick under a force from outside, N; returns the displacement there.
+    #[inline]
+    pub fn solve(&mut self, outside_n: f64) -> f64 {
+        let beta = self.mechanism.beta_m_per_n();
+        let free = self.free_m + beta * (self.transformer * self.slow_v + outside_n);
+        let per_volt = beta * self.transformer * (1.0 + self.slow_per_v);
+        let forces_n = if self.forces.is_empty() {
+            self.solve_linear(free, per_volt);
+            0.0
+        } else {
+            self.solve_with_forces(free, per_volt, beta)
+        };
+        let driven = self.next_transducer_v * (1.0 + self.slow_per_v) + self.slow_v;
+        self.next_force_n = self.transformer * driven + forces_n + outside_n;
+        self.next_position_m
+    }
+
+    /// Newton on the displacement, with the forces taken by their tangent.
+    fn solve_with_forces(&mut self, free_m: f64, per_volt: f64, beta: f64) -> f64 {
+        let mut x = self.next_position_m;
+        let mut force = 0.0;
+        for round in 0..50 {
+            let (value, slope) = self.forces_at(x);
+            let stiffer = 1.0 - beta * slope;
+            let base = value - slope * x;
+            self.solve_linear((free_m + beta * base) / stiffer, per_volt / stiffer);
+            let change = self.next_position_m - x;
+            force = base + slope * self.next_position_m;
+            // A kink that throws Newton from side to side is halved.
+            x = if round < 10 { self.next_position_m } else { x + 0.5 * change };
+            if change.abs() <= TOLERANCE_M {
+                break;
+            }
+        }
+        force
+    }
+
+    #[inline]
+    fn solve_linear(&mut self, free_m: f64, per_volt: f64) {
+        let branch = Branch {
+            charge_at_zero_c: self.transformer * free_m,
+            capacitance_f: self.transformer * per_volt + self.capacitance,
+            input_v: self.input_v,
+            drag_v_per_c: self.drag_v_per_c,
+            skew_per_c: self.skew_per_c,
+            limit_scale: self.limit_scale,
+        };
+        self.next_transducer_v = self.elements.solve(&branch);
+        self.next_position_m = free_m + per_volt * self.next_transducer_v;
+    }
+
+    /// Accept the tick that was last solved.
+    #[inline]
+    pub fn commit(&mut self) {
+        self.elements.commit();
+        self.mechanism.advance(self.force_n, self.next_force_n);
+        for creep in &mut self.creep {
+            creep.state_v = creep.decay * creep.state_v
+                + creep.from_start * self.transducer_v
+                + creep.from_end * self.next_transducer_v;
+        }
+        for force in &mut self.forces {
+            force.commit(self.next_position_m, self.step_s);
+        }
+        self.force_n = self.next_force_n;
+        self.transducer_v = self.next_transducer_v;
+        self.output_v = self.input_v;
+    }
+
+    /// Large-signal capacitance that the stack shows the amplifier, F.
+    fn load_f(&self) -> f64 {
+        let free = self.capacitance
+            + self.transformer * self.transformer * self.mechanism.compliance_m_per_n();
+        1.0 / (1.0 / free + self.elements.tangent_v_per_c())
+    }
+
+    fn forces_at(&self, x: f64) -> (f64, f64) {
+        self.forces.iter().map(|force| force.force(x)).fold((0.0, 0.0), |(f, s), (g, t)| (f + g, s + t))
+    }
+}

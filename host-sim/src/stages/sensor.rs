@@ -1,0 +1,91 @@
+//! Sensors: what each one sees of the axes, then its blocks in physical order, then its offset. Without noise and
+//! rounding, which `Plant` adds.
+
+use super::model::{AxisModel, SensorBlock};
+
+/// All sensors of a rig.
+pub struct SensorSim {
+    map: Option<Vec<Vec<f64>>>,
+    channels: Vec<Channel>,
+    bare_m: Vec<f64>,
+}
+
+struct Channel {
+    offset_m: f64,
+    blocks: Vec<Box<dyn SensorBlock>>,
+}
+
+impl SensorSim {
+    /// Take the sensors out of the axes' models.
+    pub fn new(axes: &mut [AxisModel], map: Option<Vec<Vec<f64>>>) -> Self {
+        let channels: Vec<Channel> = axes
+            .iter_mut()
+            .map(|axis| Channel {
+                offset_m: axis.sensor.offset_m,
+                blocks: std::mem::take(&mut axis.sensor.blocks),
+            })
+            .collect();
+        Self { map, bare_m: vec![0.0; channels.len()], channels }
+    }
+
+    /// Axes whose displacement sensor `sensor` depends on.
+    pub fn axes_of(&self, sensor: usize) -> Vec<usize> {
+        let n = self.channels.len();
+        let others = self.channels[sensor].blocks.iter().filter_map(|block| block.needs());
+        let sensors: Vec<usize> = others.chain([sensor]).collect();
+        (0..n).filter(|&axis| sensors.iter().any(|&s| self.sees(s, axis))).collect()
+    }
+
+    fn sees(&self, sensor: usize, axis: usize) -> bool {
+        match &self.map {
+            None => sensor == axis,
+            Some(map) => map[sensor][axis] != 0.0,
+        }
+    }
+
+    /// Whether the reading of a sensor is the displacement of its axis and nothing else.
+    pub fn is_plain(&self, sensor: usize) -> bool {
+        self.map.is_none() && self.channels[sensor].blocks.is_empty()
+    }
+
+    /// Offset of a sensor, m.
+    pub fn offset_m(&self, sensor: usize) -> f64 {
+        self.channels[sensor].offset_m
+    }
+
+    /// Read the sensors for which `wanted` says so, at session time `time_s`, into `readings_m`.
+    pub fn read(
+        &mut self,
+        displacement_m: impl Fn(usize) -> f64,
+        time_s: f64,
+        wanted: impl Fn(usize) -> bool,
+        readings_m: &mut [f64],
+    ) {
+        let n = self.channels.len();
+        match &self.map {
+            None => {
+                for (axis, bare) in self.bare_m.iter_mut().enumerate() {
+                    *bare = displacement_m(axis);
+                }
+            }
+            Some(map) => {
+                for (row, bare) in map.iter().zip(&mut self.bare_m) {
+                    *bare = (0..n)
+                        .filter(|&axis| row[axis] != 0.0)
+                        .map(|axis| row[axis] * displacement_m(axis))
+                        .sum();
+                }
+            }
+        }
+        for (sensor, channel) in self.channels.iter_mut().enumerate() {
+            if !wanted(sensor) {
+                continue;
+            }
+            let mut value = self.bare_m[sensor];
+            for block in &mut channel.blocks {
+                value = block.read(value, &self.bare_m, time_s);
+            }
+            readings_m[sensor] = value + channel.offset_m;
+        }
+    }
+}
