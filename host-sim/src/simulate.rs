@@ -116,7 +116,10 @@ fn check(rig: &Rig, input: &Input) -> Result<usize, SimError> {
     }
     let monitors = input.monitor_v.unwrap_or(&[]);
     if input.monitor_v.is_some() && monitors.len() != n {
-        return fail(format!("expected a monitor for each of the {n} axes, found {}", monitors.len()));
+        return fail(format!(
+            "expected a monitor for each of the {n} axes, found {}",
+            monitors.len()
+        ));
     }
     for channel in input.drive_v.iter().chain(monitors) {
         if channel.len() != samples {
@@ -131,7 +134,11 @@ fn check(rig: &Rig, input: &Input) -> Result<usize, SimError> {
             return fail(format!("expected {samples} ticks, found {}", ticks.len()));
         }
         if let Some(at) = ticks.windows(2).position(|pair| pair[0] >= pair[1]) {
-            return fail(format!("tick {}: expected rising ticks, found {} next", ticks[at], ticks[at + 1]));
+            return fail(format!(
+                "tick {}: expected rising ticks, found {} next",
+                ticks[at],
+                ticks[at + 1]
+            ));
         }
         if ticks[samples - 1] - ticks[0] >= MAX_TICKS {
             return fail(format!("expected at most {MAX_TICKS} ticks from first to last"));
@@ -141,7 +148,10 @@ fn check(rig: &Rig, input: &Input) -> Result<usize, SimError> {
 }
 
 fn is_contiguous(ticks: &[u64]) -> bool {
-    ticks.last().zip(ticks.first()).is_none_or(|(last, first)| last - first + 1 == ticks.len() as u64)
+    ticks
+        .last()
+        .zip(ticks.first())
+        .is_none_or(|(last, first)| last - first + 1 == ticks.len() as u64)
 }
 
 fn hold(channel: &[f64], ticks: &[u64]) -> Vec<f64> {
@@ -197,7 +207,8 @@ fn run(rig: &Rig, input: &Input, wanted: Axes, samples: usize) -> Result<Output,
     if !plain {
         for sample in 0..samples {
             let time_s = input.start_s + sample as f64 * step_s;
-            let displacement = |axis: usize| displacement_m[axis].get(sample).copied().unwrap_or(0.0);
+            let displacement =
+                |axis: usize| displacement_m[axis].get(sample).copied().unwrap_or(0.0);
             sensors.read(displacement, time_s, |sensor| wanted.contains(sensor), &mut readings);
             for sensor in (0..n).filter(|&sensor| wanted.contains(sensor)) {
                 output.position_m[sensor].push(readings[sensor]);

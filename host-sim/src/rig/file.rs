@@ -158,9 +158,8 @@ fn read_setting(
 ) -> Result<(), String> {
     let mut setting = Setting::at_zero(effect, place);
     for (key, value) in table {
-        let index = setting
-            .index(&key)
-            .ok_or_else(|| effects::unknown_parameter(effect.info(), &key))?;
+        let index =
+            setting.index(&key).ok_or_else(|| effects::unknown_parameter(effect.info(), &key))?;
         setting.values[index] = match value {
             Value::Float(value) => value,
             Value::Integer(value) => value as f64,
@@ -196,8 +195,7 @@ fn write_effects(rig: &Rig, axis: usize) -> Table {
                 tables.insert(info.name.into(), Value::Table(table));
             }
             Place::Pair { .. } => {
-                let list =
-                    tables.entry(info.name).or_insert_with(|| Value::Array(Vec::new()));
+                let list = tables.entry(info.name).or_insert_with(|| Value::Array(Vec::new()));
                 list.as_array_mut().expect("made above").push(Value::Table(table));
             }
         }

@@ -40,10 +40,7 @@ impl Setting {
         };
         let name = info.name;
         if a >= axes || b.is_some_and(|b| b >= axes) {
-            return Err(format!(
-                "{name} on {}: expected axes 1 to {axes}",
-                self.place
-            ));
+            return Err(format!("{name} on {}: expected axes 1 to {axes}", self.place));
         }
         if b == Some(a) {
             return Err(format!("{name} on {}: expected two different axes", self.place));
@@ -91,9 +88,8 @@ impl Rig {
     pub fn setting_mut(&mut self, effect: &'static dyn Effect, place: Place) -> &mut Setting {
         let place = place.normalised(effect.info().scope);
         let rank = effects::rank(effect);
-        let found = self.effects.iter().position(|s| {
-            s.place == place && effects::rank(s.effect) == rank
-        });
+        let found =
+            self.effects.iter().position(|s| s.place == place && effects::rank(s.effect) == rank);
         let at = found.unwrap_or_else(|| {
             let at = self
                 .effects
@@ -121,12 +117,8 @@ impl Rig {
     ) -> Result<(), RigError> {
         let known = effects::find(effect)
             .ok_or_else(|| RigError::new(&self.name, effects::unknown_effect(effect)))?;
-        let index = known
-            .info()
-            .parameters
-            .iter()
-            .position(|p| p.name == parameter)
-            .ok_or_else(|| {
+        let index =
+            known.info().parameters.iter().position(|p| p.name == parameter).ok_or_else(|| {
                 RigError::new(&self.name, effects::unknown_parameter(known.info(), parameter))
             })?;
         self.setting_mut(known, place).values[index] = value;

@@ -33,8 +33,7 @@ struct Segment {
 
 impl Segment {
     fn new(length_s: f64, time_constant_s: f64) -> Self {
-        let decay =
-            if time_constant_s > 0.0 { (-length_s / time_constant_s).exp() } else { 0.0 };
+        let decay = if time_constant_s > 0.0 { (-length_s / time_constant_s).exp() } else { 0.0 };
         Self { length_s, decay: if length_s > 0.0 { decay } else { 1.0 } }
     }
 }

@@ -56,11 +56,8 @@ impl CreepSim {
         let decay = (-ratio).exp();
         // First-order response to a ramp: mean weight of the tick minus its end.
         let rise = -(-ratio).exp_m1();
-        let from_end = if ratio > 1.0e-4 {
-            1.0 - rise / ratio
-        } else {
-            ratio / 2.0 - ratio * ratio / 6.0
-        };
+        let from_end =
+            if ratio > 1.0e-4 { 1.0 - rise / ratio } else { ratio / 2.0 - ratio * ratio / 6.0 };
         Self {
             state_v: 0.0,
             decay,
@@ -279,6 +276,9 @@ impl AxisSim {
     }
 
     fn forces_at(&self, x: f64) -> (f64, f64) {
-        self.forces.iter().map(|force| force.force(x)).fold((0.0, 0.0), |(f, s), (g, t)| (f + g, s + t))
+        self.forces
+            .iter()
+            .map(|force| force.force(x))
+            .fold((0.0, 0.0), |(f, s), (g, t)| (f + g, s + t))
     }
 }

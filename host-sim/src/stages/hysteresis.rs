@@ -122,7 +122,8 @@ impl MaxwellElements {
         let start = self.charge_c - branch.charge_at_zero_c;
         let skew = branch.skew_per_c;
         let drag = branch.drag_v_per_c;
-        let sum = if SCALED { self.evaluate::<SCALED>(0.0, branch.limit_scale).0 } else { self.sum_v };
+        let sum =
+            if SCALED { self.evaluate::<SCALED>(0.0, branch.limit_scale).0 } else { self.sum_v };
         let gap = branch.input_v - start * elastance - sum * (1.0 + skew * self.charge_c);
         self.trial_rising = gap >= 0.0;
         let guess = if self.trial_rising == self.rising { self.tangent } else { self.all_slopes };
@@ -174,6 +175,9 @@ impl MaxwellElements {
                 slope_sum[lane] += if held == free { slope[lane] } else { 0.0 };
             }
         }
-        ((sum[0] + sum[1]) + (sum[2] + sum[3]), (slope_sum[0] + slope_sum[1]) + (slope_sum[2] + slope_sum[3]))
+        (
+            (sum[0] + sum[1]) + (sum[2] + sum[3]),
+            (slope_sum[0] + slope_sum[1]) + (slope_sum[2] + slope_sum[3]),
+        )
     }
 }
