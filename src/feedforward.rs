@@ -1,0 +1,104 @@
+//! Feedforward: the explicit inverse of amplifier, Goldfarb-Celanovic stack and mechanism.
+//!
+//! Wanted motion x gives the transducer voltage v_t = (m x'' + b x' + (k_p + k) x) / T, the charge q = T x + C v_t, and the drive
+//! v_t + v_h(q), with v_h the Maxwell slip voltage. No solver is needed (Goldfarb and Celanovic 1997; the inverse is
+//! derived in `notes/physics.md`, section 2). The stiffness term is three independent scalars, as the first paper found;
+//! a cross term is there for mechanisms that are not so kind. Damping and inertia are that paper's open step towards
+//! computed torque.
+//!
+//! The amplifier's first-order lag with a held input is v(n+1) = p v(n) + (1 - p) u(n), p = exp(-T_s / tau). Its exact inverse is
+//! u(n) = v(n+1) + p / (1 - p) (v(n+1) - v(n)): the reference ahead of time makes v(n+1) known.
+
+use heapless::Vec;
+
+use crate::creep::{Creep, CreepState};
+use crate::hysteresis::{HysteresisState, Maxwell};
+use crate::trajectory::Motion;
+use crate::units::{Gain, MicroCoulomb, Um, UmPerMs, UmPerMs2, Volt};
+use crate::{MAX_CREEP, MAX_MAXWELL};
+
+/// Coefficients of one axis.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Feedforward {
+    pub(crate) origin: Um,
+    /// (k_p + k) / T
+    pub(crate) stiffness: Gain<Um, Volt>,
+    /// b / T, and the advance of the stiffness term
+    pub(crate) damping: Gain<UmPerMs, Volt>,
+    /// m / T, and the advance of the damping term
+    pub(crate) inertia: Gain<UmPerMs2, Volt>,
+    /// T
+    pub(crate) charge_per_um: Gain<Um, MicroCoulomb>,
+    /// C
+    pub(crate) charge_per_volt: Gain<Volt, MicroCoulomb>,
+    /// Off-diagonal stiffness / T, from the other two axes in cyclic order.
+    pub(crate) cross: [Gain<Um, Volt>; 2],
+    /// p / (1 - p)
+    pub(crate) lead: Gain<Volt, Volt>,
+    pub(crate) maxwell: Vec<Maxwell, MAX_MAXWELL>,
+    pub(crate) creep: Vec<Creep, MAX_CREEP>,
+}
+
+/// Memory of one axis.
+#[derive(Clone, Copy, Debug)]
+pub struct FeedforwardState {
+    pub(crate) hysteresis: HysteresisState,
+    pub(crate) creep: CreepState,
+    stack: Volt,
+}
+
+impl FeedforwardState {
+    /// A stack that was never driven.
+    pub const REST: Self = Self {
+        hysteresis: HysteresisState::relaxed(MicroCoulomb::ZERO),
+        creep: CreepState::REST,
+        stack: Volt::ZERO,
+    };
+}
+
+impl Feedforward {
+    /// Drive for a motion two ticks ahead. `others`: displacements of the next two axes in cyclic order. `rebase`: coefficients
+    /// have changed, take present values as the start.
+    #[inline(always)]
+    pub(crate) fn step(
+        &self,
+        state: &mut FeedforwardState,
+        motion: Motion,
+        others: [Um; 2],
+        creep_slot: usize,
+        rebase: bool,
+    ) -> Volt {
+        let wanted = motion.position - self.origin;
+        let elastic = wanted - state.creep.displacement();
+        state.creep.step(&self.creep, creep_slot, elastic);
+        let [next, after_next] = others;
+        let [cross_next, cross_after_next] = self.cross;
+        let transducer: Volt = (self.stiffness * elastic
+            + self.damping * motion.velocity
+            + self.inertia * motion.acceleration
+            + cross_next * next
+            + cross_after_next * after_next)
+            .narrow();
+        let mut stack = transducer;
+        if !self.maxwell.is_empty() {
+            let charge =
+                (self.charge_per_um * elastic + self.charge_per_volt * transducer).narrow();
+            if rebase {
+                state.hysteresis.rebase(charge);
+            }
+            stack += state.hysteresis.step(&self.maxwell, charge);
+        }
+        if rebase {
+            state.stack = stack;
+        }
+        let change = stack - state.stack;
+        state.stack = stack;
+        stack + (self.lead * change).narrow()
+    }
+
+    /// Displacement from the relaxed position, before creep compensation.
+    #[inline(always)]
+    pub(crate) fn displacement(&self, motion: &Motion) -> Um {
+        motion.position - self.origin
+    }
+}

@@ -1,0 +1,214 @@
+//! The reference of one axis over time: waveforms joined without a jump, a little ahead of the present.
+//!
+//! A new waveform g starts at the reference's present position and velocity: the start point coasts to rest within a few
+//! milliseconds, and x = start + s (g - start) with a blend s from 0 to 1 that begins and ends flat. Position and velocity
+//! are therefore continuous whatever is joined to whatever.
+//!
+//! The generator runs three ticks ahead. Drives computed now act from the next tick to the one after (one period of
+//! delay, one of hold), and central differences need one more: feedforward gets position, velocity and acceleration at
+//! n + 2, the record and the feedback get the position at n. All derivatives are differences of the same samples, so they
+//! belong to the motion that is actually commanded, limits and blends included.
+
+use crate::generator::{Generator, Shape, Table};
+use crate::math::{ONE_Q30, rounded_ramp_q30, smoothstep_q30};
+use crate::units::{Um, UmPerMs, UmPerMs2, saturate};
+
+/// Start points lose 2^-4 of their velocity each tick: at rest after some 5 ms.
+const COAST_SHIFT: u32 = 4;
+
+/// Position and its derivatives at one instant.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Motion {
+    /// Position.
+    pub position: Um,
+    /// First derivative.
+    pub velocity: UmPerMs,
+    /// Second derivative.
+    pub acceleration: UmPerMs2,
+}
+
+/// Reference of one axis.
+#[derive(Clone, Copy, Debug)]
+pub struct Trajectory {
+    generator: Generator,
+    staged: Generator,
+    is_staged: bool,
+    phase: u32,
+    /// Phase per tick, Q32.32: a sweep changes it by less than one unit a tick.
+    step: u64,
+    age: u32,
+    start: Um,
+    /// um per tick, Q7.24.
+    coast: i32,
+    /// 0 to 2^32 - 1.
+    blend: u32,
+    /// x(n+3), x(n+2), x(n+1), x(n), x(n-1).
+    ahead: [Um; 5],
+    clipped: bool,
+}
+
+impl Trajectory {
+    /// At rest.
+    pub const fn at(position: Um) -> Self {
+        Self {
+            generator: Generator::STOP,
+            staged: Generator::STOP,
+            is_staged: false,
+            phase: 0,
+            step: 0,
+            age: 0,
+            start: position,
+            coast: 0,
+            blend: u32::MAX,
+            ahead: [position; 5],
+            clipped: false,
+        }
+    }
+
+    /// Forget all motion and stay at `position`.
+    #[inline(always)]
+    pub fn reset(&mut self, position: Um) {
+        self.generator.shape = Shape::Stop;
+        self.is_staged = false;
+        self.start = position;
+        self.coast = 0;
+        for x in &mut self.ahead {
+            *x = position;
+        }
+    }
+
+    /// Keep a waveform for [`Trajectory::start_staged`].
+    #[inline(always)]
+    pub fn stage(&mut self, generator: &Generator) {
+        self.staged = *generator;
+        self.is_staged = true;
+    }
+    /// Whether a waveform waits.
+    #[inline(always)]
+    pub const fn is_staged(&self) -> bool {
+        self.is_staged
+    }
+    /// Begin the staged waveform, if there is one.
+    #[inline(always)]
+    pub fn start_staged(&mut self) {
+        if self.is_staged {
+            self.is_staged = false;
+            self.generator = self.staged;
+            self.join();
+        }
+    }
+    /// Coast to rest.
+    #[inline(always)]
+    pub fn stop(&mut self) {
+        self.generator.shape = Shape::Stop;
+        self.join();
+    }
+    /// Whether the reference still moves, or will.
+    #[inline(always)]
+    pub const fn is_moving(&self) -> bool {
+        !self.generator.rests()
+            || (matches!(self.generator.shape, Shape::Go { .. }) && self.blend != u32::MAX)
+            || self.coast >> COAST_SHIFT != 0
+    }
+
+    /// Start from the present motion.
+    #[inline(always)]
+    fn join(&mut self) {
+        let [newest, previous, ..] = self.ahead;
+        self.start = newest;
+        self.coast = (newest - previous).to_bits();
+        self.blend = 0;
+        self.age = 0;
+        self.phase = self.generator.phase;
+        self.step = (self.generator.step as u64) << 32;
+    }
+
+    /// One tick: returns the motion at n + 2.
+    #[inline(always)]
+    pub fn step(&mut self, table: &Table, low: Um, high: Um) -> Motion {
+        if self.coast != 0 {
+            // Arithmetic shift rounds down; the nudge makes negative velocities end at zero too.
+            let loss = self.coast >> COAST_SHIFT;
+            self.coast = self.coast.wrapping_sub(if loss == 0 { self.coast } else { loss });
+            self.start += Um::from_bits(self.coast);
+        }
+        let wanted = match self.generator.shape {
+            Shape::Stop => self.start,
+            shape => {
+                let target = self.waveform(table, shape);
+                if self.blend == u32::MAX {
+                    target
+                } else {
+                    self.blend = self.blend.saturating_add(self.generator.blend);
+                    let u = (self.blend >> 2) as i32;
+                    let s = match shape {
+                        Shape::Go { ramp: true } => rounded_ramp_q30(u),
+                        _ => smoothstep_q30(u),
+                    };
+                    let way = target.to_bits() as i64 - self.start.to_bits() as i64;
+                    self.start + Um::from_bits(saturate((way * s as i64) >> 30))
+                }
+            }
+        };
+        let next = wanted.limit(low, high);
+        self.clipped = next != wanted;
+        let [x3, x2, x1, x0, _] = self.ahead;
+        self.ahead = [next, x3, x2, x1, x0];
+        motion(next, x3, x2)
+    }
+
+    /// centre + amplitude * w, and the accumulators moved on.
+    #[inline(always)]
+    fn waveform(&mut self, table: &Table, shape: Shape) -> Um {
+        if let Shape::Go { .. } = shape {
+            return self.generator.center;
+        }
+        self.age = self.age.saturating_add(1);
+        if self.generator.duration != 0 && self.age > self.generator.duration {
+            self.generator.shape = Shape::Go { ramp: false };
+            self.join();
+            return self.generator.center;
+        }
+        let w = self.generator.wave(table, self.phase);
+        self.phase = self.phase.wrapping_add((self.step >> 32) as u32);
+        if let Shape::Sweep { growth } = shape {
+            let change = ((self.step >> 32) as i64).wrapping_mul(growth as i64) >> 8;
+            self.step = self.step.wrapping_add(change as u64);
+        }
+        let swing = (self.generator.amplitude.to_bits() as i64 * w as i64) >> 30;
+        self.generator.center + Um::from_bits(swing as i32)
+    }
+
+    /// Position at the present tick.
+    #[inline(always)]
+    pub const fn now(&self) -> Um {
+        let [_, _, _, now, _] = self.ahead;
+        now
+    }
+    /// Change over the last tick.
+    #[inline(always)]
+    pub fn last_change(&self) -> Um {
+        let [_, _, _, now, before] = self.ahead;
+        now - before
+    }
+    /// Whether the newest point was cut to the travel limits.
+    #[inline(always)]
+    pub const fn is_clipped(&self) -> bool {
+        self.clipped
+    }
+}
+
+/// Central differences about the middle of three samples, a tick (0.1 ms) apart.
+#[inline(always)]
+fn motion(after: Um, here: Um, before: Um) -> Motion {
+    let (a, h, b) = (after.to_bits() as i64, here.to_bits() as i64, before.to_bits() as i64);
+    Motion {
+        position: here,
+        // (a - b) / 2 ticks = 5 (a - b) per ms
+        velocity: UmPerMs::from_bits(saturate((a - b) * 5)),
+        // (a - 2h + b) per tick^2 = 100 times that per ms^2
+        acceleration: UmPerMs2::from_bits(saturate((a - 2 * h + b) * 100)),
+    }
+}
+
+const _: () = assert!(ONE_Q30 == 1 << 30 && crate::TICK_HZ == 10_000);
