@@ -10,8 +10,8 @@ use crate::{MAX_TONES, TABLE_POINTS, TICK_HZ, TICK_S};
 
 /// A reference waveform in physical units. Amplitudes are peak values about the centre: a 10 um stroke has amplitude 5 um.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-#[cfg_attr(feature = "serde", serde(rename_all = "snake_case", deny_unknown_fields))]
+#[derive(serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum GeneratorSettings {
     /// Stay where the reference is now, coasting to rest from the present velocity.
     Stop,
@@ -72,8 +72,8 @@ pub enum GeneratorSettings {
 
 /// What periodic waveforms share.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-#[cfg_attr(feature = "serde", serde(deny_unknown_fields))]
+#[derive(serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Wave {
     /// Centre, um.
     pub center_um: f32,
@@ -105,8 +105,8 @@ impl Wave {
 
 /// A random-phase multisine.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-#[cfg_attr(feature = "serde", serde(deny_unknown_fields))]
+#[derive(serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Multisine {
     /// Centre, um.
     pub center_um: f32,

@@ -1,7 +1,7 @@
 //! Settings in physical units: what a person writes, a file holds and the link carries.
 //!
 //! Plain single-precision numbers with the unit in the name, and defaults for the first paper's rig. They mean nothing to
-//! the tick: [`crate::Config::build`] checks every one and turns them into integers. With feature `serde` they can be read
+//! the tick: [`crate::Config::build`] checks every one and turns them into integers. They can be read
 //! and written by any format (TOML on the host, postcard on the board).
 
 use heapless::Vec;
@@ -77,8 +77,8 @@ macro_rules! settings {
     ($(#[$doc:meta])* $name:ident { $($(#[$field_doc:meta])* $field:ident: $kind:ty = $default:expr,)* }) => {
         $(#[$doc])*
         #[derive(Clone, Debug, PartialEq)]
-        #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-        #[cfg_attr(feature = "serde", serde(deny_unknown_fields, default))]
+        #[derive(serde::Serialize, serde::Deserialize)]
+        #[serde(deny_unknown_fields, default)]
         pub struct $name {
             $($(#[$field_doc])* pub $field: $kind,)*
         }
