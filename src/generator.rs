@@ -9,8 +9,9 @@ use crate::units::Um;
 use crate::{MAX_TONES, TABLE_POINTS, TICK_HZ, TICK_S};
 
 /// A reference waveform in physical units. Amplitudes are peak values about the centre: a 10 um stroke has amplitude 5 um.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[derive(serde::Serialize, serde::Deserialize)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema,
+)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum GeneratorSettings {
     /// Stay where the reference is now, coasting to rest from the present velocity.
@@ -71,8 +72,9 @@ pub enum GeneratorSettings {
 }
 
 /// What periodic waveforms share.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[derive(serde::Serialize, serde::Deserialize)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema,
+)]
 #[serde(deny_unknown_fields)]
 pub struct Wave {
     /// Centre, um.
@@ -104,8 +106,9 @@ impl Wave {
 }
 
 /// A random-phase multisine.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[derive(serde::Serialize, serde::Deserialize)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema,
+)]
 #[serde(deny_unknown_fields)]
 pub struct Multisine {
     /// Centre, um.
@@ -491,6 +494,8 @@ impl Table {
 
 #[cfg(test)]
 mod tests {
+    use std::vec::Vec;
+
     use super::*;
 
     fn range(generator: &Generator, table: &Table) -> (f64, f64) {

@@ -35,7 +35,9 @@ pub enum Command {
 }
 
 /// Why a command had no effect.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize, postcard_schema::Schema,
+)]
 pub enum Refusal {
     /// Already armed.
     AlreadyArmed,

@@ -25,7 +25,11 @@
 //! assert_eq!(record.flags.state(), State::Arming);
 //! # Ok::<(), flexstage::SettingsError>(())
 //! ```
-#![cfg_attr(not(test), no_std)]
+#![no_std]
+
+#[cfg(test)]
+#[macro_use]
+extern crate std;
 
 pub mod config;
 pub mod controller;
