@@ -1,10 +1,517 @@
-//! Commands and replies, postcard-encoded.
+//! Commands and replies: what the host asks of the board, and what took effect.
+//!
+//! Encoded with [postcard], and hashed: [`SCHEMA_HASH`] changes with any change to any type below, or to the layout of samples.
+//! Every command that arrives whole gets exactly one reply of the same sequence number: what took effect and at which tick, or
+//! the reason why nothing did. A command is decoded and checked whole before anything of it acts.
 
+use heapless::{String, Vec};
+use postcard_schema::{Schema, key::Key};
+use serde::{Deserialize, Serialize};
+
+use super::frame::{self, Frame, FrameError, HEADER, Kind};
 use super::stream::{Fields, Profile};
-use postcard_schema::key::Key;
+use crate::{GeneratorSettings, Settings, SettingsError};
 
 /// What the messages and the layout of the samples are made of, in 32 bits. Any change of either changes it.
 pub const SCHEMA_HASH: u32 = {
-    let [a, b, c, d, ..] = Key::for_path::<(Fields, Profile)>("flexstage samples 1").to_bytes();
-    u32::from_le_bytes([a, b, c, d])
+    let [a, b, c, d, e, f, g, h] =
+        Key::for_path::<(Command, Reply)>("flexstage/samples/1").to_bytes();
+    u32::from_le_bytes([a, b, c, d]) ^ u32::from_le_bytes([e, f, g, h])
 };
+
+/// Points of the arbitrary waveform in one [`Command::WriteTable`].
+pub const TABLE_CHUNK: usize = 256;
+/// Longest text of a [`Crash`].
+pub const CRASH_TEXT: usize = 192;
+/// Bins of [`Counters::cycles_histogram`].
+pub const HISTOGRAM_BINS: usize = 16;
+/// Width of a histogram bin in core clock cycles; the last bin also counts everything longer.
+pub const HISTOGRAM_BIN_CYCLES: u32 = 512;
+
+/// What the host may ask for. Any of them restarts the command timeout.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+#[expect(clippy::large_enum_variant, reason = "no allocation on the board; one command exists at a time")]
+pub enum Command {
+    /// State of the controller: [`Reply::Status`].
+    Status,
+    /// Health of the loop and the link: [`Reply::Counters`].
+    Counters,
+    /// Why the last run ended, if it ended badly: [`Reply::Crash`]. Reading does not clear it.
+    Crash,
+    /// The settings in effect: [`Reply::Settings`].
+    ReadSettings,
+    /// Close the loop where the stage is.
+    Arm,
+    /// Open the loop and return softly to the parked voltage.
+    Disarm,
+    /// Bring the references to rest and hold them.
+    Hold,
+    /// Forget latched faults.
+    ClearFaults,
+    /// Nothing else.
+    KeepAlive,
+    /// Keep a waveform for an axis (from 0) until [`Command::Start`].
+    Stage {
+        /// Axis, from 0.
+        axis: u8,
+        /// The waveform.
+        generator: GeneratorSettings,
+    },
+    /// Start the staged waveforms of these axes (bit 0 = axis 0) at the same tick.
+    Start {
+        /// One bit an axis.
+        axes: u8,
+    },
+    /// Replace all settings: checked whole, then in effect from one tick to the next.
+    SetSettings(Settings),
+    /// Write part of the arbitrary waveform into the table that is not in use.
+    WriteTable {
+        /// Index of the first point.
+        offset: u16,
+        /// Points, -1 to 1.
+        points: Vec<f32, TABLE_CHUNK>,
+    },
+    /// Exchange the tables. Refused while the loop is closed.
+    UseTable {
+        /// Number of points.
+        len: u16,
+    },
+    /// Stream these fields of every tick.
+    StreamOn {
+        /// Which.
+        fields: Fields,
+        /// In how many bits.
+        profile: Profile,
+    },
+    /// Stop streaming.
+    StreamOff,
+    /// Start the stream, then at a later tick the waveform on this axis, so that the record holds all of it.
+    Probe {
+        /// Axis, from 0.
+        axis: u8,
+        /// Excitation; one with a duration ends by itself.
+        generator: GeneratorSettings,
+        /// Fields to stream.
+        fields: Fields,
+        /// In how many bits.
+        profile: Profile,
+    },
+    /// Write the settings in effect to flash. Only while parked.
+    Save,
+    /// Restart. Only while parked.
+    Reboot,
+    /// Restart into the ROM's DFU loader. Only while parked.
+    RebootToDfu,
+}
+
+/// What became of a command.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+#[expect(clippy::large_enum_variant, reason = "no allocation on the board; one reply exists at a time")]
+pub enum Reply {
+    /// It acts from this tick on.
+    Done {
+        /// Tick.
+        tick: u32,
+    },
+    /// The settings in effect.
+    Settings(Settings),
+    /// New settings act from this tick on.
+    Configured {
+        /// Tick.
+        tick: u32,
+        /// [`Config::digest`](crate::Config::digest) of what was built from them.
+        digest: u32,
+    },
+    /// Samples are streamed from about this tick on; the first frame says exactly.
+    Streaming {
+        /// Tick.
+        tick: u32,
+        /// Fields in effect.
+        fields: Fields,
+        /// Profile in effect.
+        profile: Profile,
+        /// Bytes of a sample.
+        sample_bytes: u8,
+    },
+    /// State.
+    Status(Status),
+    /// Counters.
+    Counters(Counters),
+    /// How the last run ended.
+    Crash(Crash),
+    /// The settings are in flash.
+    Saved {
+        /// Number of this save.
+        version: u32,
+        /// Slot, 0 or 1.
+        slot: u8,
+    },
+    /// Nothing changed, for this reason.
+    Refused(Refusal),
+}
+
+/// State of the controller.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct Status {
+    /// Tick of the flags.
+    pub tick: u32,
+    /// Status word ([`Flags`](crate::Flags)).
+    pub flags: u32,
+    /// [`Config::digest`](crate::Config::digest) of the configuration in effect.
+    pub digest: u32,
+    /// Whether the settings in effect are the ones in flash.
+    pub is_stored: bool,
+    /// The stream, if one is on.
+    pub stream: Option<(Fields, Profile)>,
+    /// Time since the restart, ms.
+    pub uptime_ms: u32,
+    /// Whether a crash report waits.
+    pub has_crash: bool,
+}
+
+/// Health of the loop and the link since the restart.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct Counters {
+    /// Ticks run.
+    pub ticks: u32,
+    /// Ticks missed, or not finished before the next.
+    pub overruns: u32,
+    /// Core clock cycles of the last tick, interrupt entry to exit.
+    pub cycles_last: u32,
+    /// Most cycles of any tick.
+    pub cycles_max: u32,
+    /// Ticks by cycles, [`HISTOGRAM_BIN_CYCLES`] a bin.
+    pub cycles_histogram: [u32; HISTOGRAM_BINS],
+    /// Samples dropped since the stream was started.
+    pub dropped: u32,
+    /// Stream frames sent.
+    pub frames: u32,
+    /// Commands taken.
+    pub commands: u32,
+    /// Commands refused.
+    pub refused: u32,
+    /// Malformed pieces of input.
+    pub malformed: u32,
+    /// USB resets and reconnections.
+    pub usb_resets: u32,
+    /// Double words of flash found damaged.
+    pub flash_errors: u32,
+    /// Bytes of the stack never used.
+    pub stack_free: u32,
+}
+
+/// How the last run ended.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct Crash {
+    /// As in [`Identity::reset_flags`](super::Identity::reset_flags).
+    pub reset_flags: u8,
+    /// Panic message or fault registers; empty if the run ended without.
+    pub message: String<CRASH_TEXT>,
+}
+
+/// Why a command changed nothing.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub enum Refusal {
+    /// The frame is whole but no command of this schema.
+    Malformed,
+    /// A setting cannot be used.
+    Settings(BadSetting),
+    /// The controller refuses in its present state.
+    Control(crate::Refusal),
+    /// No such axis, field or table index.
+    Range,
+    /// Only while the outputs are parked.
+    NotParked,
+    /// Only while the loop is open.
+    Armed,
+    /// The board is still busy with an earlier command.
+    Busy,
+    /// Flash could not be written; the old settings are still whole.
+    Flash,
+    /// The converter self-test failed at the restart, or the ticks do not run.
+    NotReady,
+}
+
+impl core::fmt::Display for Refusal {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Malformed => "the board does not understand the command",
+            Self::Settings(bad) => return core::fmt::Display::fmt(bad, f),
+            Self::Control(refusal) => refusal.describe(),
+            Self::Range => "there is no such axis, field or table index",
+            Self::NotParked => {
+                "only while the outputs are parked: disarm and wait until the drives have returned"
+            }
+            Self::Armed => "only while the loop is open: disarm first",
+            Self::Busy => "the board is busy with an earlier command: try again",
+            Self::Flash => "flash could not be written; the settings saved before are still whole",
+            Self::NotReady => {
+                "the converters failed their self-test or do not run: see the self-test bits of the identity"
+            }
+        })
+    }
+}
+impl core::error::Error for Refusal {}
+
+/// A [`SettingsError`] that can travel.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct BadSetting {
+    /// Part of the settings.
+    pub group: String<32>,
+    /// Name of the setting.
+    pub field: String<32>,
+    /// Axis, from 1.
+    pub axis: Option<u8>,
+    /// Unit or meaning of the range.
+    pub unit: String<40>,
+    /// Smallest value allowed.
+    pub min: f32,
+    /// Largest value allowed.
+    pub max: f32,
+    /// What was found.
+    pub found: f32,
+}
+
+/// As much of the text as fits.
+fn cut<const N: usize>(text: &str) -> String<N> {
+    let mut out = String::new();
+    for c in text.chars() {
+        if out.push(c).is_err() {
+            break;
+        }
+    }
+    out
+}
+
+impl From<SettingsError> for BadSetting {
+    fn from(error: SettingsError) -> Self {
+        Self {
+            group: cut(error.group),
+            field: cut(error.field),
+            axis: error.axis,
+            unit: cut(error.unit),
+            min: error.min,
+            max: error.max,
+            found: error.found,
+        }
+    }
+}
+
+impl core::fmt::Display for BadSetting {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        if let Some(axis) = self.axis {
+            write!(f, "axis {axis}: ")?;
+        }
+        let Self { group, field, unit, min, max, found, .. } = self;
+        write!(f, "{group}.{field} must be {min} to {max} {unit}, found {found}")
+    }
+}
+
+/// Why a good frame is not the message that was expected.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MessageError {
+    /// The sender was built from other definitions; only identities can be exchanged with it.
+    Schema {
+        /// Its schema hash.
+        found: u32,
+    },
+    /// The frame carries something else.
+    Kind,
+    /// The payload does not decode, or has bytes left over.
+    Payload,
+}
+
+impl core::fmt::Display for MessageError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Schema { found } => write!(
+                f,
+                "the other side speaks message schema {found:08x}, this one {SCHEMA_HASH:08x}: build both from the same source"
+            ),
+            Self::Kind => f.write_str("the frame carries another kind of message"),
+            Self::Payload => f.write_str("the payload of the frame does not decode"),
+        }
+    }
+}
+impl core::error::Error for MessageError {}
+
+fn encode_message<'a, T: Serialize>(
+    buffer: &'a mut [u8],
+    kind: Kind,
+    sequence: u16,
+    message: &T,
+) -> Result<&'a [u8], FrameError> {
+    let place = buffer.get_mut(HEADER..).ok_or(FrameError::TooLong)?;
+    let length = postcard::to_slice(message, place).map_err(|_| FrameError::TooLong)?.len();
+    let length = frame::seal(buffer, kind, sequence, length)?;
+    buffer.get(..length).ok_or(FrameError::TooLong)
+}
+
+fn decode_message<'a, T: Deserialize<'a>>(
+    frame: &Frame<'a>,
+    kind: Kind,
+) -> Result<T, MessageError> {
+    if frame.kind != kind {
+        return Err(MessageError::Kind);
+    }
+    if !frame.is_same_schema() {
+        return Err(MessageError::Schema { found: frame.schema });
+    }
+    match postcard::take_from_bytes(frame.payload) {
+        Ok((message, [])) => Ok(message),
+        Ok(_) | Err(_) => Err(MessageError::Payload),
+    }
+}
+
+/// Encodes a command into a frame.
+///
+/// # Errors
+/// The buffer is too small; [`MAX_FRAME`](super::MAX_FRAME) bytes always suffice.
+pub fn encode_command<'a>(
+    buffer: &'a mut [u8],
+    sequence: u16,
+    command: &Command,
+) -> Result<&'a [u8], FrameError> {
+    encode_message(buffer, Kind::Command, sequence, command)
+}
+
+/// Encodes a reply into a frame.
+///
+/// # Errors
+/// The buffer is too small; [`MAX_FRAME`](super::MAX_FRAME) bytes always suffice.
+pub fn encode_reply<'a>(
+    buffer: &'a mut [u8],
+    sequence: u16,
+    reply: &Reply,
+) -> Result<&'a [u8], FrameError> {
+    encode_message(buffer, Kind::Reply, sequence, reply)
+}
+
+/// Decodes a command; nothing of it is used unless all of it decodes.
+///
+/// # Errors
+/// Another kind, another schema, or damaged content.
+pub fn decode_command(frame: &Frame<'_>) -> Result<Command, MessageError> {
+    decode_message(frame, Kind::Command)
+}
+
+/// Decodes a reply.
+///
+/// # Errors
+/// Another kind, another schema, or damaged content.
+pub fn decode_reply(frame: &Frame<'_>) -> Result<Reply, MessageError> {
+    decode_message(frame, Kind::Reply)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::link::MAX_FRAME;
+    use crate::settings::{CreepSettings, MaxwellSettings, NotchSettings};
+    use proptest::prelude::*;
+
+    /// Every list full: the longest settings there are.
+    fn longest_settings() -> Settings {
+        let mut settings = Settings::default();
+        for axis in &mut settings.axes {
+            axis.stack.hysteresis.clear();
+            while axis.stack.hysteresis.push(MaxwellSettings::default()).is_ok() {}
+            while axis.feedforward.creep.push(CreepSettings::default()).is_ok() {}
+            while axis.feedback.notches.push(NotchSettings::default()).is_ok() {}
+            axis.gauge.full_code = u32::MAX;
+            axis.monitor.full_code = u32::MAX;
+            axis.dac.full_code = u32::MAX;
+        }
+        settings
+    }
+
+    fn round_trip(command: &Command) -> Command {
+        let mut buffer = [0; MAX_FRAME];
+        let bytes = encode_command(&mut buffer, 5, command).unwrap();
+        decode_command(&frame::decode(bytes).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn the_longest_messages_fit_a_frame() {
+        let settings = longest_settings();
+        let command = Command::SetSettings(settings.clone());
+        assert_eq!(round_trip(&command), command);
+        let mut buffer = [0; MAX_FRAME];
+        let reply = Reply::Settings(settings);
+        let bytes = encode_reply(&mut buffer, 5, &reply).unwrap();
+        assert_eq!(decode_reply(&frame::decode(bytes).unwrap()).unwrap(), reply);
+        let mut points = Vec::new();
+        while points.push(-0.5).is_ok() {}
+        let command = Command::WriteTable { offset: 768, points };
+        assert_eq!(round_trip(&command), command);
+        let counters = Counters {
+            cycles_histogram: [u32::MAX; HISTOGRAM_BINS],
+            ticks: u32::MAX,
+            ..Counters::default()
+        };
+        encode_reply(&mut buffer, 5, &Reply::Counters(counters)).unwrap();
+    }
+
+    #[test]
+    fn a_refused_setting_arrives_with_its_reason() {
+        let mut settings = Settings::default();
+        settings.axes[1].limits.slew_v_per_ms = f32::NAN;
+        let error = crate::Config::build(&settings).unwrap_err();
+        let refusal = Refusal::Settings(error.into());
+        let mut buffer = [0; MAX_FRAME];
+        let bytes = encode_reply(&mut buffer, 1, &Reply::Refused(refusal)).unwrap();
+        let Ok(Reply::Refused(back)) = decode_reply(&frame::decode(bytes).unwrap()) else {
+            panic!("not a refusal");
+        };
+        extern crate std;
+        assert!(std::format!("{back}").starts_with("axis 2: limits.slew_v_per_ms must be"));
+    }
+
+    #[test]
+    fn another_schema_is_not_misread() {
+        let mut buffer = [0; MAX_FRAME];
+        let bytes = encode_command(&mut buffer, 1, &Command::Arm).unwrap();
+        let mut frame = frame::decode(bytes).unwrap();
+        frame.schema ^= 1;
+        assert_eq!(decode_command(&frame), Err(MessageError::Schema { found: SCHEMA_HASH ^ 1 }));
+    }
+
+    #[test]
+    fn bytes_left_over_are_refused() {
+        let mut buffer = [0; MAX_FRAME];
+        let payload = postcard::to_slice(&Command::Arm, &mut buffer).unwrap().len();
+        let content: std::vec::Vec<u8> = buffer[..=payload].to_vec();
+        extern crate std;
+        let bytes = super::super::encode(&mut buffer, Kind::Command, 1, &content).unwrap();
+        let decoded = decode_command(&frame::decode(bytes).unwrap());
+        assert_eq!(decoded, Err(MessageError::Payload));
+    }
+
+    proptest! {
+        #[test]
+        fn any_payload_is_decoded_or_refused(
+            payload in prop::collection::vec(any::<u8>(), 0..400),
+        ) {
+            let mut buffer = [0; MAX_FRAME];
+            let bytes = super::super::encode(&mut buffer, Kind::Command, 1, &payload).unwrap();
+            let _ = decode_command(&frame::decode(bytes).unwrap());
+            let bytes = super::super::encode(&mut buffer, Kind::Reply, 1, &payload).unwrap();
+            let _ = decode_reply(&frame::decode(bytes).unwrap());
+        }
+
+        /// Settings of which any byte was overwritten are refused or still settings: never a panic, in decoding nor in building.
+        #[test]
+        fn damaged_settings_never_panic(at in any::<prop::sample::Index>(), byte in any::<u8>()) {
+            let mut buffer = [0; MAX_FRAME];
+            let command = Command::SetSettings(longest_settings());
+            let mut payload = postcard::to_slice(&command, &mut buffer).unwrap().to_vec();
+            let at = at.index(payload.len());
+            payload[at] = byte;
+            let mut buffer = [0; MAX_FRAME];
+            let bytes = super::super::encode(&mut buffer, Kind::Command, 1, &payload).unwrap();
+            if let Ok(Command::SetSettings(settings)) = decode_command(&frame::decode(bytes).unwrap()) {
+                let _ = crate::Config::build(&settings);
+            }
+        }
+    }
+}

@@ -15,6 +15,7 @@
 pub mod frame;
 pub mod identity;
 pub mod message;
+pub mod session;
 pub mod stream;
 
 pub use frame::{Deframer, Frame, FrameError, Kind, MAX_FRAME, encode};
