@@ -31,6 +31,8 @@
 #[macro_use]
 extern crate std;
 
+#[cfg(all(feature = "board", target_os = "none"))]
+pub mod board;
 pub mod config;
 pub mod controller;
 pub mod creep;
@@ -44,6 +46,7 @@ pub mod link;
 pub mod math;
 pub mod record;
 pub mod settings;
+pub mod store;
 pub mod trajectory;
 pub mod units;
 

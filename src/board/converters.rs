@@ -55,7 +55,14 @@ pub fn start() -> u16 {
     rcc::enable_and_reset::<peripherals::ADC1>();
     rcc::enable_and_reset::<peripherals::ADC3>();
     pac::RCC.ahb2enr().modify(|w| w.set_gpioben(true));
-    for (port, pin) in [(pac::GPIOA, 0), (pac::GPIOA, 1), (pac::GPIOA, 8), (pac::GPIOB, 1), (pac::GPIOB, 12), (pac::GPIOB, 14)] {
+    for (port, pin) in [
+        (pac::GPIOA, 0),
+        (pac::GPIOA, 1),
+        (pac::GPIOA, 8),
+        (pac::GPIOB, 1),
+        (pac::GPIOB, 12),
+        (pac::GPIOB, 14),
+    ] {
         port.moder().modify(|w| w.set_moder(pin, pac::gpio::vals::Moder::ANALOG));
     }
     for common in [pac::ADC12_COMMON, pac::ADC345_COMMON] {
@@ -112,7 +119,8 @@ fn configure(adc: pac::adc::Adc, channels: &[u8], oversampling: Option<(u8, u8)>
         }
     });
     // The internal channels (VREFINT) need longer sampling than the buffered pins.
-    let sampling = |channel: u8| if channel == 18 { SampleTime::CYCLES640_5 } else { SampleTime::CYCLES6_5 };
+    let sampling =
+        |channel: u8| if channel == 18 { SampleTime::CYCLES640_5 } else { SampleTime::CYCLES6_5 };
     adc.smpr().modify(|w| {
         for channel in channels.iter().filter(|channel| **channel < 10) {
             w.set_smp((*channel).into(), sampling(*channel));
@@ -153,9 +161,12 @@ fn test_supply() -> u16 {
 /// Reads the parked outputs back through ADC2, which reaches all three pins: PA4 = IN17, PA5 = IN13, PA6 = IN3.
 fn test_outputs() -> u16 {
     let mut failed = 0;
-    for ((axis, channel), expected) in [17, 13, 3].into_iter().enumerate().zip(super::outputs::read()) {
+    for ((axis, channel), expected) in
+        [17, 13, 3].into_iter().enumerate().zip(super::outputs::read())
+    {
         configure(pac::ADC2, &[channel], None, Exten::DISABLED);
-        let is_right = convert_once(pac::ADC2).is_some_and(|code| code.abs_diff(expected) <= READ_BACK_TOLERANCE);
+        let is_right = convert_once(pac::ADC2)
+            .is_some_and(|code| code.abs_diff(expected) <= READ_BACK_TOLERANCE);
         if !is_right {
             failed |= self_test::OUTPUT_1 << axis;
         }
@@ -204,9 +215,17 @@ pub fn take() -> Codes {
         }
         fresh
     };
-    let ready = [fresh(pac::ADC1, 1), fresh(pac::ADC2, 2), fresh(pac::ADC3, 4), fresh(pac::ADC4, 8), fresh(pac::ADC5, 16)];
+    let ready = [
+        fresh(pac::ADC1, 1),
+        fresh(pac::ADC2, 2),
+        fresh(pac::ADC3, 4),
+        fresh(pac::ADC4, 8),
+        fresh(pac::ADC5, 16),
+    ];
     let [one, two, three, four, five] = ready;
-    let read = |ready: bool, adc: pac::adc::Adc, rank: usize| if ready { adc.jdr(rank).read().jdata() } else { 0 };
+    let read = |ready: bool, adc: pac::adc::Adc, rank: usize| {
+        if ready { adc.jdr(rank).read().jdata() } else { 0 }
+    };
     Codes {
         gauge: [read(one, pac::ADC1, 0), read(two, pac::ADC2, 0), read(three, pac::ADC3, 0)],
         monitor: [read(four, pac::ADC4, 0), read(four, pac::ADC4, 1), read(five, pac::ADC5, 0)],

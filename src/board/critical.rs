@@ -24,7 +24,9 @@ unsafe impl critical_section::Impl for BelowTick {
     unsafe fn acquire() -> RawRestoreState {
         let before = basepri::read();
         // SAFETY: only masks interrupts; code that must not be preempted follows.
-        unsafe { basepri::write(if before == 0 { MASK_BELOW_P0 } else { before.min(MASK_BELOW_P0) }) };
+        unsafe {
+            basepri::write(if before == 0 { MASK_BELOW_P0 } else { before.min(MASK_BELOW_P0) })
+        };
         core::sync::atomic::compiler_fence(core::sync::atomic::Ordering::SeqCst);
         u32::from(before)
     }

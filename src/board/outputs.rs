@@ -77,7 +77,11 @@ pub fn write(codes: [u16; AXES]) {
 
 /// The codes at the pins.
 pub fn read() -> [u16; AXES] {
-    [pac::DAC1.dor(0).read().dacdor(), pac::DAC1.dor(1).read().dacdor(), pac::DAC2.dor(0).read().dacdor()]
+    [
+        pac::DAC1.dor(0).read().dacdor(),
+        pac::DAC1.dor(1).read().dacdor(),
+        pac::DAC2.dor(0).read().dacdor(),
+    ]
 }
 
 /// Returns the outputs slowly to [`PARK_CODE`] without the controller, for fault handlers that the tick cannot interrupt. Takes

@@ -35,6 +35,32 @@ pub fn crc32(bytes: &[u8]) -> u32 {
     CRC32.checksum(bytes)
 }
 
+/// The same over bytes that come in pieces.
+pub struct Checksum(crc::Digest<'static, u32>);
+
+impl Checksum {
+    /// Of nothing yet.
+    pub fn new() -> Self {
+        Self(CRC32.digest())
+    }
+
+    /// Takes in more bytes.
+    pub fn update(&mut self, bytes: &[u8]) {
+        self.0.update(bytes);
+    }
+
+    /// The sum.
+    pub fn finish(self) -> u32 {
+        self.0.finalize()
+    }
+}
+
+impl Default for Checksum {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 /// What a frame carries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
@@ -299,7 +325,6 @@ impl Deframer {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
     use super::*;
     use proptest::prelude::*;
     use std::vec::Vec;
@@ -335,8 +360,6 @@ mod tests {
         assert_eq!(collect(&mut deframer, &frame(Kind::Command, 2, &[5])), [(2, vec![5])]);
         assert_eq!((deframer.malformed, deframer.frames), (1, 1));
     }
-
-    use std::vec;
 
     proptest! {
         #[test]

@@ -5,8 +5,35 @@
 /// Length of the layout below.
 pub const BYTES: usize = 48;
 
+/// Bits of [`Identity::self_test`]. Bits 0 to 4: ADC1 to ADC5 do not calibrate or convert.
+pub mod self_test {
+    /// Output 1 read back differs from what was set; outputs 2 and 3 are the next two bits.
+    pub const OUTPUT_1: u16 = 1 << 8;
+    /// VDDA, the reference of all converters, is not 3.3 V within 10 %.
+    pub const SUPPLY: u16 = 1 << 12;
+    /// The crystal does not start: the internal oscillator runs the board (sample rate within 1 %).
+    pub const CRYSTAL: u16 = 1 << 13;
+
+    /// The set bits, in words.
+    pub fn describe(bits: u16) -> impl Iterator<Item = &'static str> {
+        const WORDS: [(u16, &str); 10] = [
+            (1 << 0, "ADC1 (gauge 1) does not convert"),
+            (1 << 1, "ADC2 (gauge 2) does not convert"),
+            (1 << 2, "ADC3 (gauge 3) does not convert"),
+            (1 << 3, "ADC4 (monitors 1 and 2) does not convert"),
+            (1 << 4, "ADC5 (monitor 3) does not convert"),
+            (OUTPUT_1, "output 1 (PA4) is not at the voltage that was set"),
+            (OUTPUT_1 << 1, "output 2 (PA5) is not at the voltage that was set"),
+            (OUTPUT_1 << 2, "output 3 (PA6) is not at the voltage that was set"),
+            (SUPPLY, "VDDA is not 3.3 V within 10 %"),
+            (CRYSTAL, "the crystal does not start: the sample rate is only within 1 %"),
+        ];
+        WORDS.into_iter().filter(move |(bit, _)| bits & bit != 0).map(|(_, words)| words)
+    }
+}
+
 /// Content of a [`Kind::Identity`](super::Kind::Identity) frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Identity {
     /// Schema hash of the firmware's messages.
     pub schema: u32,
@@ -26,7 +53,7 @@ pub struct Identity {
     pub has_crash_report: u8,
     /// Nonzero if the configuration came from flash, zero if it is the built-in default.
     pub has_stored_config: u8,
-    /// What the converter self-test found: bit mask, zero is good (bits 0-4 ADC1-5, 8-10 DAC of axis 1-3, 12 supply).
+    /// What the self-test at the restart found: [`self_test`] bits, zero is good.
     pub self_test: u16,
     /// Restarts since power-on.
     pub restarts: u16,

@@ -30,7 +30,10 @@ pub const HISTOGRAM_BIN_CYCLES: u32 = 512;
 
 /// What the host may ask for. Any of them restarts the command timeout.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
-#[expect(clippy::large_enum_variant, reason = "no allocation on the board; one command exists at a time")]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "no allocation on the board; one command exists at a time"
+)]
 pub enum Command {
     /// State of the controller: [`Reply::Status`].
     Status,
@@ -106,7 +109,10 @@ pub enum Command {
 
 /// What became of a command.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
-#[expect(clippy::large_enum_variant, reason = "no allocation on the board; one reply exists at a time")]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "no allocation on the board; one reply exists at a time"
+)]
 pub enum Reply {
     /// It acts from this tick on.
     Done {
@@ -463,8 +469,7 @@ mod tests {
         let Ok(Reply::Refused(back)) = decode_reply(&frame::decode(bytes).unwrap()) else {
             panic!("not a refusal");
         };
-        extern crate std;
-        assert!(std::format!("{back}").starts_with("axis 2: limits.slew_v_per_ms must be"));
+        assert!(format!("{back}").starts_with("axis 2: limits.slew_v_per_ms must be"));
     }
 
     #[test]
@@ -480,8 +485,7 @@ mod tests {
     fn bytes_left_over_are_refused() {
         let mut buffer = [0; MAX_FRAME];
         let payload = postcard::to_slice(&Command::Arm, &mut buffer).unwrap().len();
-        let content: std::vec::Vec<u8> = buffer[..=payload].to_vec();
-        extern crate std;
+        let content = buffer[..=payload].to_vec();
         let bytes = super::super::encode(&mut buffer, Kind::Command, 1, &content).unwrap();
         let decoded = decode_command(&frame::decode(bytes).unwrap());
         assert_eq!(decoded, Err(MessageError::Payload));

@@ -2,16 +2,16 @@
 //!
 //! The firmware and the virtual board of the host share it, so that both answer alike. It decides nothing about control: it
 //! checks what can be checked without the controller, asks the device, and says what took effect.
-
-use heapless::Vec;
+//!
+//! Large messages (settings, table points) are dealt with before anything waits, so that the board need not keep them.
 
 use super::frame::{Frame, Kind};
 use super::identity::Identity;
 use super::message::{
-    self, Command, Counters, Crash, MessageError, Refusal, Reply, SCHEMA_HASH, Status, TABLE_CHUNK,
+    self, Command, Counters, Crash, MessageError, Refusal, Reply, SCHEMA_HASH, Status,
 };
 use super::stream::{Fields, Profile, sample_bytes};
-use crate::{AXES, Config, Generator, GeneratorSettings, Settings, TABLE_POINTS};
+use crate::{AXES, Config, Flags, Generator, GeneratorSettings, Settings, TABLE_POINTS};
 
 /// What a board does. Methods that wait for the tick are asynchronous; a device without hardware returns at once.
 #[expect(async_fn_in_trait, reason = "used on one executor only; the futures need not be Send")]
@@ -20,26 +20,26 @@ pub trait Device {
     fn identity(&self) -> Identity;
     /// Its state.
     fn status(&self) -> Status;
-    /// Its counters; `malformed`, `commands` and `refused` are the session's and overwritten by it.
+    /// Its counters; those of commands are the session's and overwritten by it.
     fn counters(&self) -> Counters;
     /// How its last run ended.
     fn crash(&self) -> Crash;
     /// The settings in effect.
     fn settings(&self) -> &Settings;
-    /// Passes a command to the controller; the tick at which it acts.
-    async fn control(&mut self, command: crate::Command) -> Result<u32, Refusal>;
-    /// Puts a checked configuration into effect, and keeps the settings it came from; the tick at which it acts.
-    async fn configure(&mut self, settings: Settings, config: Config) -> Result<u32, Refusal>;
-    /// Writes points of the table that is not in use.
+    /// Puts a checked configuration into effect and keeps the settings it came from; the tick from which it acts.
+    fn configure(&mut self, settings: &Settings, config: Config) -> Result<u32, Refusal>;
+    /// Writes points of the table that is not in use; the range is checked.
     fn write_table(&mut self, offset: usize, points: &[f32]) -> Result<(), Refusal>;
-    /// Puts that table into use.
-    async fn use_table(&mut self, len: usize) -> Result<u32, Refusal>;
+    /// Puts that table into use; the tick from which. Only called while the loop is open.
+    fn use_table(&mut self, len: usize) -> Result<u32, Refusal>;
     /// Starts (or changes) or ends the stream; the tick from which.
     fn stream(&mut self, stream: Option<(Fields, Profile)>) -> u32;
-    /// Writes the settings in effect to permanent memory; number and slot of the copy. Only called while parked.
-    async fn save(&mut self) -> Result<(u32, u8), Refusal>;
     /// Restarts once the reply is out, into the DFU loader if `dfu`. Only called while parked.
     fn reboot(&mut self, dfu: bool);
+    /// Passes a command to the controller; the tick at which it acts.
+    async fn control(&mut self, command: crate::Command) -> Result<u32, Refusal>;
+    /// Writes the settings in effect to permanent memory; number and slot of the copy. Only called while parked.
+    async fn save(&mut self) -> Result<(u32, u8), Refusal>;
 }
 
 /// Counts of a session.
@@ -51,6 +51,20 @@ pub struct Session {
     pub refused: u32,
     /// Whole frames that were no command.
     pub malformed: u32,
+}
+
+/// What is left of a command once its large parts are dealt with.
+enum Next {
+    /// The answer is written and this long.
+    Answered(usize),
+    /// To be answered with this.
+    Reply(Result<Reply, Refusal>),
+    /// For the controller.
+    Control(crate::Command),
+    /// Stage, stream, start.
+    Probe { axis: u8, generator: Generator, fields: Fields, profile: Profile },
+    /// Write to flash.
+    Save,
 }
 
 impl Session {
@@ -68,40 +82,95 @@ impl Session {
         framing_errors: u32,
         out: &mut [u8],
     ) -> usize {
-        let reply = match (frame.kind, message::decode_command(frame)) {
-            (Kind::Identify, _) => return identify(device, frame.sequence, out),
+        let sequence = frame.sequence;
+        let result = match self.begin(device, frame, framing_errors, out) {
+            Next::Answered(length) => return length,
+            Next::Reply(result) => return self.answer(sequence, result, out),
+            Next::Control(command) => device.control(command).await,
+            Next::Probe { axis, generator, fields, profile } => {
+                probe(device, axis, generator, fields, profile).await
+            }
+            Next::Save => {
+                let saved = device.save().await;
+                let reply = saved.map(|(version, slot)| Reply::Saved { version, slot });
+                return self.answer(sequence, reply, out);
+            }
+        };
+        let reply = result.map(|tick| Reply::Done { tick });
+        self.answer(sequence, reply, out)
+    }
+
+    /// Everything that needs no waiting.
+    #[inline(never)]
+    fn begin<D: Device>(
+        &mut self,
+        device: &mut D,
+        frame: &Frame<'_>,
+        framing_errors: u32,
+        out: &mut [u8],
+    ) -> Next {
+        match (frame.kind, message::decode_command(frame)) {
+            (Kind::Identify, _) => Next::Answered(identify(device, frame.sequence, out)),
             (_, Ok(command)) => {
                 self.commands = self.commands.saturating_add(1);
-                self.execute(device, command, framing_errors).await
+                self.execute(device, command, framing_errors)
             }
             (Kind::Command, Err(MessageError::Schema { .. })) => {
                 self.malformed = self.malformed.saturating_add(1);
-                return identify(device, frame.sequence, out);
+                Next::Answered(identify(device, frame.sequence, out))
             }
             (Kind::Command, Err(_)) => {
                 self.malformed = self.malformed.saturating_add(1);
-                Reply::Refused(Refusal::Malformed)
+                Next::Reply(Err(Refusal::Malformed))
             }
             // A device never answers what only devices send.
             (Kind::Stream | Kind::Reply | Kind::Identity, Err(_)) => {
                 self.malformed = self.malformed.saturating_add(1);
-                return 0;
+                Next::Answered(0)
             }
-        };
-        if matches!(reply, Reply::Refused(_)) {
-            self.refused = self.refused.saturating_add(1);
         }
-        message::encode_reply(out, frame.sequence, &reply).map_or(0, <[u8]>::len)
     }
 
-    async fn execute<D: Device>(
+    #[inline(never)]
+    fn answer(&mut self, sequence: u16, result: Result<Reply, Refusal>, out: &mut [u8]) -> usize {
+        if result.is_err() {
+            self.refused = self.refused.saturating_add(1);
+        }
+        let reply = result.unwrap_or_else(Reply::Refused);
+        message::encode_reply(out, sequence, &reply).map_or(0, <[u8]>::len)
+    }
+
+    fn execute<D: Device>(
         &mut self,
         device: &mut D,
         command: Command,
         framing_errors: u32,
-    ) -> Reply {
+    ) -> Next {
         use crate::Command as Control;
-        let result = match command {
+        let reply = match command {
+            Command::Arm => return Next::Control(Control::Arm),
+            Command::Disarm => return Next::Control(Control::Disarm),
+            Command::Hold => return Next::Control(Control::Hold),
+            Command::ClearFaults => return Next::Control(Control::ClearFaults),
+            Command::KeepAlive => return Next::Control(Control::KeepAlive),
+            Command::Start { axes } => return Next::Control(Control::Start { axes }),
+            Command::Stage { axis, generator } => match build(&generator) {
+                Ok(generator) => return Next::Control(Control::Stage { axis, generator }),
+                Err(refusal) => Err(refusal),
+            },
+            Command::Probe { axis, generator, fields, profile } => {
+                match (build(&generator), usize::from(axis) < AXES && fields.is_valid()) {
+                    (Ok(generator), true) => {
+                        return Next::Probe { axis, generator, fields, profile };
+                    }
+                    (Err(refusal), _) => Err(refusal),
+                    (Ok(_), false) => Err(Refusal::Range),
+                }
+            }
+            Command::Save => match parked(device) {
+                Ok(()) => return Next::Save,
+                Err(refusal) => Err(refusal),
+            },
             Command::Status => Ok(Reply::Status(device.status())),
             Command::Counters => Ok(Reply::Counters(Counters {
                 commands: self.commands,
@@ -111,29 +180,15 @@ impl Session {
             })),
             Command::Crash => Ok(Reply::Crash(device.crash())),
             Command::ReadSettings => Ok(Reply::Settings(device.settings().clone())),
-            Command::Arm => done(device, Control::Arm).await,
-            Command::Disarm => done(device, Control::Disarm).await,
-            Command::Hold => done(device, Control::Hold).await,
-            Command::ClearFaults => done(device, Control::ClearFaults).await,
-            Command::KeepAlive => done(device, Control::KeepAlive).await,
-            Command::Stage { axis, generator } => stage(device, axis, &generator).await,
-            Command::Start { axes } => done(device, Control::Start { axes }).await,
-            Command::SetSettings(settings) => configure(device, settings).await,
+            Command::SetSettings(settings) => configure(device, &settings),
             Command::WriteTable { offset, points } => write_table(device, offset.into(), &points),
-            Command::UseTable { len } => use_table(device, len.into()).await,
+            Command::UseTable { len } => use_table(device, len.into()),
             Command::StreamOn { fields, profile } => stream_on(device, fields, profile),
             Command::StreamOff => Ok(Reply::Done { tick: device.stream(None) }),
-            Command::Probe { axis, generator, fields, profile } => {
-                probe(device, axis, &generator, fields, profile).await
-            }
-            Command::Save => match parked(device) {
-                Ok(()) => device.save().await.map(|(version, slot)| Reply::Saved { version, slot }),
-                Err(refusal) => Err(refusal),
-            },
             Command::Reboot => reboot(device, false),
             Command::RebootToDfu => reboot(device, true),
         };
-        result.unwrap_or_else(Reply::Refused)
+        Next::Reply(reply)
     }
 }
 
@@ -142,45 +197,33 @@ fn identify<D: Device>(device: &D, sequence: u16, out: &mut [u8]) -> usize {
     super::encode(out, Kind::Identity, sequence, &payload).map_or(0, <[u8]>::len)
 }
 
-async fn done<D: Device>(device: &mut D, command: crate::Command) -> Result<Reply, Refusal> {
-    device.control(command).await.map(|tick| Reply::Done { tick })
+fn build(generator: &GeneratorSettings) -> Result<Generator, Refusal> {
+    Generator::build(generator).map_err(|error| Refusal::Settings(error.into()))
 }
 
-async fn stage<D: Device>(
-    device: &mut D,
-    axis: u8,
-    generator: &GeneratorSettings,
-) -> Result<Reply, Refusal> {
-    let generator = Generator::build(generator).map_err(|e| Refusal::Settings(e.into()))?;
-    done(device, crate::Command::Stage { axis, generator }).await
-}
-
-async fn configure<D: Device>(device: &mut D, settings: Settings) -> Result<Reply, Refusal> {
-    let config = Config::build(&settings).map_err(|e| Refusal::Settings(e.into()))?;
+fn configure<D: Device>(device: &mut D, settings: &Settings) -> Result<Reply, Refusal> {
+    let config = Config::build(settings).map_err(|error| Refusal::Settings(error.into()))?;
     let digest = config.digest();
-    device.configure(settings, config).await.map(|tick| Reply::Configured { tick, digest })
+    device.configure(settings, config).map(|tick| Reply::Configured { tick, digest })
 }
 
-fn write_table<D: Device>(
-    device: &mut D,
-    offset: usize,
-    points: &Vec<f32, TABLE_CHUNK>,
-) -> Result<Reply, Refusal> {
-    if offset + points.len() > TABLE_POINTS || !points.iter().all(|p| p.abs() <= 1.0) {
+fn write_table<D: Device>(device: &mut D, offset: usize, points: &[f32]) -> Result<Reply, Refusal> {
+    // The comparison is false for not-a-number.
+    if offset + points.len() > TABLE_POINTS || !points.iter().all(|point| point.abs() <= 1.0) {
         return Err(Refusal::Range);
     }
     device.write_table(offset, points)?;
     Ok(Reply::Done { tick: device.status().tick })
 }
 
-async fn use_table<D: Device>(device: &mut D, len: usize) -> Result<Reply, Refusal> {
+fn use_table<D: Device>(device: &mut D, len: usize) -> Result<Reply, Refusal> {
     if !(1..=TABLE_POINTS).contains(&len) {
         return Err(Refusal::Range);
     }
-    if crate::Flags(device.status().flags).state().is_active() {
+    if Flags(device.status().flags).state().is_active() {
         return Err(Refusal::Armed);
     }
-    device.use_table(len).await.map(|tick| Reply::Done { tick })
+    device.use_table(len).map(|tick| Reply::Done { tick })
 }
 
 fn stream_on<D: Device>(
@@ -196,21 +239,18 @@ fn stream_on<D: Device>(
     Ok(Reply::Streaming { tick, fields, profile, sample_bytes })
 }
 
-/// Stream first, excite after: everything that can be refused is asked before anything starts.
+/// Stream first, excite after, so that the record holds all of the excitation; as before if the start is refused.
 async fn probe<D: Device>(
     device: &mut D,
     axis: u8,
-    generator: &GeneratorSettings,
+    generator: Generator,
     fields: Fields,
     profile: Profile,
-) -> Result<Reply, Refusal> {
-    if usize::from(axis) >= AXES || !fields.is_valid() {
-        return Err(Refusal::Range);
-    }
-    stage(device, axis, generator).await?;
+) -> Result<u32, Refusal> {
+    device.control(crate::Command::Stage { axis, generator }).await?;
     let before = device.status().stream;
     device.stream(Some((fields, profile)));
-    let started = done(device, crate::Command::Start { axes: 1 << axis }).await;
+    let started = device.control(crate::Command::Start { axes: 1 << axis }).await;
     if started.is_err() {
         device.stream(before);
     }
@@ -218,11 +258,220 @@ async fn probe<D: Device>(
 }
 
 fn parked<D: Device>(device: &D) -> Result<(), Refusal> {
-    if crate::Flags(device.status().flags).is_parked() { Ok(()) } else { Err(Refusal::NotParked) }
+    if Flags(device.status().flags).is_parked() { Ok(()) } else { Err(Refusal::NotParked) }
 }
 
 fn reboot<D: Device>(device: &mut D, dfu: bool) -> Result<Reply, Refusal> {
     parked(device)?;
     device.reboot(dfu);
     Ok(Reply::Done { tick: device.status().tick })
+}
+
+/// The result of a future that never waits, like those of a [`Device`] without hardware; `None` if it does wait.
+pub fn ready<F: Future>(future: F) -> Option<F::Output> {
+    let mut context = core::task::Context::from_waker(core::task::Waker::noop());
+    match core::pin::pin!(future).poll(&mut context) {
+        core::task::Poll::Ready(output) => Some(output),
+        core::task::Poll::Pending => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::link::message::{decode_reply, encode_command};
+    use crate::link::{Deframer, MAX_FRAME, encode, frame};
+    use crate::{Controller, Sample, Table};
+    use proptest::prelude::*;
+
+    /// A board of nothing but the controller and a stage that follows it.
+    struct Board {
+        controller: Controller,
+        settings: Settings,
+        config: Config,
+        table: Table,
+        record: crate::Record,
+        stream: Option<(Fields, Profile)>,
+        saves: u32,
+        reboots: u32,
+    }
+
+    impl Board {
+        fn new() -> Self {
+            let settings = Settings::default();
+            let config = Config::build(&settings).unwrap();
+            let mut board = Self {
+                controller: Controller::new(),
+                settings,
+                config,
+                table: Table::EMPTY,
+                record: crate::Record::default(),
+                stream: None,
+                saves: 0,
+                reboots: 0,
+            };
+            board.tick();
+            board
+        }
+
+        fn tick(&mut self) {
+            let sample = Sample {
+                gauge: [self.config.gauge_code(0, 0.0); 3],
+                monitor: [self.config.monitor_code(0, 0.0); 3],
+                overrun: false,
+            };
+            self.record = self.controller.tick(&self.config, &self.table, &sample);
+        }
+    }
+
+    impl Device for Board {
+        fn identity(&self) -> Identity {
+            Identity { serial: [7; 12], ..Identity::default() }
+        }
+        fn status(&self) -> Status {
+            let (tick, flags) = (self.record.tick, self.record.flags.0);
+            Status { tick, flags, stream: self.stream, ..Status::default() }
+        }
+        fn counters(&self) -> Counters {
+            Counters::default()
+        }
+        fn crash(&self) -> Crash {
+            Crash::default()
+        }
+        fn settings(&self) -> &Settings {
+            &self.settings
+        }
+        fn configure(&mut self, settings: &Settings, config: Config) -> Result<u32, Refusal> {
+            self.settings = settings.clone();
+            self.config = config;
+            Ok(self.record.tick + 1)
+        }
+        fn write_table(&mut self, _: usize, _: &[f32]) -> Result<(), Refusal> {
+            Ok(())
+        }
+        fn use_table(&mut self, _: usize) -> Result<u32, Refusal> {
+            Ok(self.record.tick + 1)
+        }
+        fn stream(&mut self, stream: Option<(Fields, Profile)>) -> u32 {
+            self.stream = stream;
+            self.record.tick + 1
+        }
+        fn reboot(&mut self, _: bool) {
+            self.reboots += 1;
+        }
+        async fn control(&mut self, command: crate::Command) -> Result<u32, Refusal> {
+            let result = self.controller.command(&self.config, command);
+            self.tick();
+            result.map(|()| self.record.tick).map_err(Refusal::Control)
+        }
+        async fn save(&mut self) -> Result<(u32, u8), Refusal> {
+            self.saves += 1;
+            Ok((self.saves, 0))
+        }
+    }
+
+    fn ask(session: &mut Session, board: &mut Board, command: &Command) -> Reply {
+        let (mut request, mut answer) = ([0; MAX_FRAME], [0; MAX_FRAME]);
+        let bytes = encode_command(&mut request, 77, command).unwrap();
+        let request = frame::decode(bytes).unwrap();
+        let length = ready(session.handle(board, &request, 0, &mut answer)).unwrap();
+        let answer = frame::decode(&answer[..length]).unwrap();
+        assert_eq!(answer.sequence, 77);
+        decode_reply(&answer).unwrap()
+    }
+
+    #[test]
+    fn commands_are_acknowledged_with_what_took_effect() {
+        let (mut session, mut board) = (Session::new(), Board::new());
+        let mut settings = Settings::default();
+        settings.axes[2].feedback.proportional_v_per_um = 2.0;
+        let digest = Config::build(&settings).unwrap().digest();
+        let reply = ask(&mut session, &mut board, &Command::SetSettings(settings.clone()));
+        assert!(matches!(reply, Reply::Configured { digest: d, .. } if d == digest));
+        let reply = ask(&mut session, &mut board, &Command::ReadSettings);
+        assert_eq!(reply, Reply::Settings(settings));
+        let on = Command::StreamOn { fields: Fields::RECORDING, profile: Profile::Packed };
+        let reply = ask(&mut session, &mut board, &on);
+        assert!(matches!(reply, Reply::Streaming { sample_bytes: 28, .. }));
+        assert!(matches!(ask(&mut session, &mut board, &Command::Save), Reply::Saved { .. }));
+        assert!(matches!(ask(&mut session, &mut board, &Command::Arm), Reply::Done { .. }));
+        assert_eq!(
+            ask(&mut session, &mut board, &Command::Save),
+            Reply::Refused(Refusal::NotParked)
+        );
+        assert_eq!(
+            ask(&mut session, &mut board, &Command::RebootToDfu),
+            Reply::Refused(Refusal::NotParked)
+        );
+        assert_eq!(
+            ask(&mut session, &mut board, &Command::UseTable { len: 9 }),
+            Reply::Refused(Refusal::Armed)
+        );
+        assert_eq!((session.commands, session.refused, board.saves, board.reboots), (8, 3, 1, 0));
+    }
+
+    #[test]
+    fn bad_settings_change_nothing() {
+        let (mut session, mut board) = (Session::new(), Board::new());
+        let digest = board.config.digest();
+        let mut settings = Settings::default();
+        settings.axes[0].limits.max_v = f32::INFINITY;
+        let reply = ask(&mut session, &mut board, &Command::SetSettings(settings));
+        let Reply::Refused(Refusal::Settings(bad)) = reply else { panic!("{reply:?}") };
+        assert_eq!((bad.axis, bad.field.as_str()), (Some(1), "max_v"));
+        assert_eq!((board.config.digest(), &board.settings), (digest, &Settings::default()));
+    }
+
+    #[test]
+    fn strangers_are_told_who_answers() {
+        let (mut session, mut board) = (Session::new(), Board::new());
+        let (mut request, mut answer) = ([0; MAX_FRAME], [0; MAX_FRAME]);
+        let mut identity_of = |request: Frame<'_>| {
+            let length = ready(session.handle(&mut board, &request, 0, &mut answer)).unwrap();
+            let answer = frame::decode(&answer[..length]).unwrap();
+            assert_eq!(answer.kind, Kind::Identity);
+            Identity::from_bytes(answer.payload).unwrap()
+        };
+        let bytes = encode(&mut request, Kind::Identify, 1, &[]).unwrap();
+        let mut plain = frame::decode(bytes).unwrap();
+        plain.schema = 5;
+        assert_eq!(identity_of(plain).schema, SCHEMA_HASH);
+        let bytes = encode_command(&mut request, 1, &Command::Arm).unwrap();
+        let mut other = frame::decode(bytes).unwrap();
+        other.schema ^= 1;
+        assert_eq!(identity_of(other).serial, [7; 12]);
+    }
+
+    proptest! {
+        /// Hostile input: whatever arrives, only whole commands of this schema act, and nothing panics.
+        #[test]
+        fn hostile_bytes_change_nothing(
+            packets in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..64), 0..40),
+        ) {
+            let (mut session, mut board) = (Session::new(), Board::new());
+            let (mut deframer, mut answer) = (Deframer::new(), [0; MAX_FRAME]);
+            for packet in packets {
+                deframer.push(&packet, |frame| {
+                    ready(session.handle(&mut board, &frame, 0, &mut answer)).unwrap();
+                });
+            }
+            prop_assert_eq!(session.commands, 0);
+            prop_assert_eq!(board.settings, Settings::default());
+        }
+
+        /// The same with good checksums around hostile payloads.
+        #[test]
+        fn hostile_payloads_never_panic(
+            payloads in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..64), 0..40),
+        ) {
+            let (mut session, mut board) = (Session::new(), Board::new());
+            let (mut request, mut answer) = ([0; MAX_FRAME], [0; MAX_FRAME]);
+            for payload in payloads {
+                let bytes = encode(&mut request, Kind::Command, 3, &payload).unwrap();
+                let request = frame::decode(bytes).unwrap();
+                let length = ready(session.handle(&mut board, &request, 0, &mut answer)).unwrap();
+                prop_assert!(frame::decode(&answer[..length]).is_ok());
+            }
+        }
+    }
 }

@@ -395,7 +395,6 @@ fn take<const N: usize>(rest: &mut &[u8]) -> [u8; N] {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
     use super::*;
     use crate::link::{MAX_FRAME, encode};
     use proptest::prelude::*;
