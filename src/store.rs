@@ -327,7 +327,7 @@ mod tests {
             let mut whole = flash.clone();
             save_now(&mut whole, 50.0, Cut::Before).unwrap();
             let operations = whole.operations - before;
-            assert!(operations > 100);
+            assert!(operations > 50);
             for cut in [Cut::Before, Cut::Half, Cut::After] {
                 for fuse in 0..operations {
                     let mut flash = flash.clone();
