@@ -1,10 +1,84 @@
-//! `flexstage replay`.
+//! `flexstage replay`: simulate a rig under a recorded drive and write what its sensors and monitors would have read.
+//!
+//! In: a rig file and a recording. Out: the recording with the simulated `position_um_K`, and `monitor_v_K` for the
+//! axes whose rig has a monitor; drive, ticks and metadata are those recorded. No noise and no rounding are added. The
+//! electrical memory before the first sample is unknown: a stack that has never been driven is assumed.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use host_sim::{Axes, Input, Rig};
+use recording::Recording;
 
 /// Options of `flexstage replay`.
 #[derive(clap::Args)]
-pub struct Args {}
+pub struct Args {
+    /// Rig file.
+    #[arg(long)]
+    rig: PathBuf,
+    /// Recording: Parquet, or CSV with --sample-rate.
+    recording: PathBuf,
+    /// Where the simulated recording goes.
+    #[arg(long)]
+    out: PathBuf,
+    /// Rate of a CSV recording, Hz.
+    #[arg(long)]
+    sample_rate: Option<f64>,
+}
 
 /// Run the command.
-pub fn run(_args: Args) -> anyhow::Result<()> {
-    anyhow::bail!("replay is not built yet")
+pub fn run(args: Args) -> anyhow::Result<()> {
+    let rig = Rig::load(&args.rig)?;
+    let recording = match args.sample_rate {
+        Some(rate) => Recording::read_csv(&args.recording, rate)?,
+        None => Recording::read(&args.recording)?,
+    };
+    let predicted = predict(&rig, &recording, &args.recording)?;
+    predicted.write(&args.out)?;
+    Ok(())
+}
+
+/// The recording that the rig would have made; `name` is the file, for errors.
+pub fn predict(rig: &Rig, recording: &Recording, name: &Path) -> anyhow::Result<Recording> {
+    let axes = rig.axes.len();
+    if recording.axes() > axes {
+        bail!(
+            "{}: expected the {axes} axes of rig {}, found {}",
+            name.display(),
+            rig.name,
+            recording.axes()
+        );
+    }
+    let samples = recording.len();
+    let mut drive: Vec<Vec<f64>> = recording
+        .drive_v
+        .iter()
+        .map(|channel| channel.iter().map(|v| f64::from(*v)).collect())
+        .collect();
+    drive.resize(axes, vec![0.0; samples]);
+    let drive: Vec<&[f64]> = drive.iter().map(Vec::as_slice).collect();
+    let input = Input {
+        sample_rate_hz: recording.meta.sample_rate_hz,
+        start_s: recording.meta.start_s,
+        ticks: Some(&recording.tick),
+        drive_v: &drive,
+        monitor_v: None,
+        initial: &[],
+    };
+    let output =
+        host_sim::simulate(rig, &input, Axes::All).with_context(|| name.display().to_string())?;
+    let mut predicted = recording.clone();
+    predicted.drive_v.resize(axes, vec![0.0; samples]);
+    predicted.monitor_v.resize(axes, None);
+    predicted.position_um.resize(axes, None);
+    predicted.reference_um.resize(axes, None);
+    for axis in 0..axes {
+        let positions = output.position_m[axis].iter().map(|x| (x * 1.0e6) as f32);
+        predicted.position_um[axis] = Some(positions.collect());
+        predicted.monitor_v[axis] = rig.axes[axis]
+            .monitor
+            .as_ref()
+            .map(|_| output.monitor_v[axis].iter().map(|v| *v as f32).collect());
+    }
+    Ok(predicted)
 }
