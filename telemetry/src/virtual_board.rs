@@ -6,15 +6,12 @@
 //! In real time a host that does not read loses samples, and the drop counter says so, as on the board. At full speed
 //! simulated time waits for the host, so nothing is ever lost.
 
-use std::future::Future;
-use std::pin::pin;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender, TrySendError};
-use std::task::{Context, Poll, Waker};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use flexstage::link::message::{Counters, Crash, Refusal, Status};
-use flexstage::link::session::{Device, Session};
+use flexstage::link::session::{Device, Session, ready};
 use flexstage::link::stream::Sample as WireSample;
 use flexstage::link::{Deframer, Fields, Identity, MAX_FRAME, Profile, StreamWriter};
 use flexstage::{AXES, Command, Config, Controller, Record, Settings, TICK_HZ, Table};
@@ -138,14 +135,6 @@ impl Drop for VirtualBoard {
     }
 }
 
-/// The futures of a device without hardware are ready at once.
-fn ready<F: Future>(future: F) -> F::Output {
-    match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
-        Poll::Ready(output) => output,
-        Poll::Pending => unreachable!("no method of the virtual board waits"),
-    }
-}
-
 fn run(mut board: Board, inbox: &Receiver<Vec<u8>>, outbox: &SyncSender<Vec<u8>>, speed: Speed) {
     let mut session = Session::new();
     let mut deframer = Deframer::new();
@@ -163,7 +152,9 @@ fn run(mut board: Board, inbox: &Receiver<Vec<u8>>, outbox: &SyncSender<Vec<u8>>
             let malformed = deframer.malformed;
             deframer.push(&bytes, |frame| {
                 let mut out = [0; MAX_FRAME];
-                let length = ready(session.handle(&mut board, &frame, malformed, &mut out));
+                // Nothing of this board waits, so the answer is there at once.
+                let length =
+                    ready(session.handle(&mut board, &frame, malformed, &mut out)).unwrap_or(0);
                 answers.push(out[..length].to_vec());
             });
             deframer.end_of_transfer();
@@ -402,12 +393,12 @@ impl Device for Board {
         Ok(self.tick as u32)
     }
 
-    async fn configure(
+    fn configure(
         &mut self,
-        settings: Settings,
+        settings: &Settings,
         config: Config,
     ) -> std::result::Result<u32, Refusal> {
-        self.settings = settings;
+        self.settings = settings.clone();
         self.config = config;
         Ok(self.tick as u32)
     }
@@ -418,7 +409,7 @@ impl Device for Board {
         Ok(())
     }
 
-    async fn use_table(&mut self, len: usize) -> std::result::Result<u32, Refusal> {
+    fn use_table(&mut self, len: usize) -> std::result::Result<u32, Refusal> {
         let points = self.points.get(..len).ok_or(Refusal::Range)?;
         self.table.set(points).map_err(|e| Refusal::Settings(e.into()))?;
         Ok(self.tick as u32)
