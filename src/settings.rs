@@ -1,8 +1,8 @@
 //! Settings in physical units: what a person writes, a file holds and the link carries.
 //!
 //! Plain single-precision numbers with the unit in the name, and defaults for the first paper's rig. They mean nothing to
-//! the tick: [`crate::Config::build`] checks every one and turns them into integers. They can be read
-//! and written by any format (TOML on the host, postcard on the board).
+//! the tick: [`crate::Config::build`] checks every one and turns them into integers. Any serde
+//! format reads and writes them: TOML on the host, postcard on the board.
 
 use heapless::Vec;
 
@@ -220,11 +220,11 @@ settings! {
     /// Straight line from converter codes to a measured quantity (um for gauges, V for monitors).
     ConverterSettings {
         /// Value at code 0.
-        at_zero: f32 = -1.0,
+        at_zero: f32 = -3.0,
         /// Value at `full_code`.
-        at_full: f32 = 17.0,
-        /// Code at the upper end of the range.
-        full_code: u32 = 65_535,
+        at_full: f32 = 18.994_63,
+        /// Highest code that the converter gives: readings of 0 and of this code are out of range.
+        full_code: u32 = 65_520,
     }
 }
 
@@ -234,7 +234,7 @@ settings! {
         /// Drive at code 0, V.
         at_zero_v: f32 = -10.0,
         /// Drive at `full_code`, V.
-        at_full_v: f32 = 150.0,
+        at_full_v: f32 = 149.960_94,
         /// Highest code.
         full_code: u32 = 4_095,
         /// Carry each code's rounding error into the next: noise moves to high frequencies, where the stage does not follow.
@@ -260,9 +260,9 @@ settings! {
         /// Limits.
         limits: LimitSettings = LimitSettings::default(),
         /// Gauge, um.
-        gauge: ConverterSettings = ConverterSettings { at_zero: -2.0, at_full: 18.0, full_code: 65_535 },
+        gauge: ConverterSettings = ConverterSettings { at_zero: -3.0, at_full: 18.994_63, full_code: 65_520 },
         /// Amplifier monitor, V.
-        monitor: ConverterSettings = ConverterSettings { at_zero: -20.0, at_full: 160.0, full_code: 65_535 },
+        monitor: ConverterSettings = ConverterSettings { at_zero: -18.0, at_full: 157.957, full_code: 65_520 },
         /// Output.
         dac: DacSettings = DacSettings::default(),
     }
@@ -291,6 +291,31 @@ settings! {
         monitor_error_v: f32 = 0.0,
         /// How long it may last, s.
         monitor_error_s: f32 = 0.05,
+    }
+}
+
+impl AxisSettings {
+    /// No control: the drive is `volts_per_um` times the reference. Generators then make voltages, for probing a stage whose
+    /// model is unknown; voltage, slew and travel limits and the watch over the gauges still act.
+    pub fn open_loop(volts_per_um: f32) -> Self {
+        let stack = StackSettings {
+            transformer_n_per_v: 1.0,
+            stiffness_n_per_m: volts_per_um * 1.0e6,
+            hysteresis: Vec::new(),
+            ..StackSettings::default()
+        };
+        Self {
+            stack,
+            mechanism: MechanismSettings { stiffness_n_per_m: 0.0, ..MechanismSettings::default() },
+            feedforward: FeedforwardSettings {
+                hysteresis: false,
+                dynamics: false,
+                amplifier_lead: false,
+                ..FeedforwardSettings::default()
+            },
+            limits: LimitSettings { following_error_um: 0.0, ..LimitSettings::default() },
+            ..Self::default()
+        }
     }
 }
 

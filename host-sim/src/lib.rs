@@ -4,18 +4,22 @@
 //! - [`effects`]: what a rig may do beyond its nominal model, one file each
 //! - [`simulate`](fn@simulate): whole recordings without noise, for fits and replays
 //! - [`Plant`]: a tick at a time with noise and rounding, for closed loops
+//! - [`closed_loop`]: the control core against the plant
 //!
 //! Lengths in m, voltages in V, times in s unless a name ends in another unit.
 
+pub mod closed_loop;
 pub mod effects;
 mod plant;
 pub mod rig;
 mod simulate;
 pub mod stages;
 mod start;
+pub mod tuning;
 
 pub use effects::Place;
 pub use plant::{Options, Plant, Sample};
 pub use rig::{Rig, RigError};
 pub use simulate::{Axes, Input, MAX_TICKS, Output, SimError, simulate};
 pub use start::{Initial, Memory};
+pub use tuning::controller_settings;
