@@ -104,14 +104,15 @@ fn axis_settings(rig: &Rig, k: usize, axis: &Axis) -> AxisSettings {
 /// Feedback for a stage of `volts_per_um` whose first resonance is at `resonance_hz`.
 pub fn feedback(volts_per_um: f64, resonance_hz: f64) -> FeedbackSettings {
     let mut settings = FeedbackSettings {
-        proportional_v_per_um: (0.1 * volts_per_um) as f32,
-        integral_v_per_um_s: (600.0 * volts_per_um) as f32,
-        derivative_v_ms_per_um: (0.02 * volts_per_um) as f32,
+        proportional_v_per_um: (0.3 * volts_per_um) as f32,
+        integral_v_per_um_s: (1_500.0 * volts_per_um) as f32,
+        derivative_v_ms_per_um: (0.03 * volts_per_um) as f32,
         ..FeedbackSettings::default()
     };
     // Above half the sampling rate there is nothing to filter.
     if resonance_hz < 4_500.0 {
-        let notch = NotchSettings { frequency_hz: resonance_hz as f32, ..NotchSettings::default() };
+        let notch =
+            NotchSettings { frequency_hz: resonance_hz as f32, damping_ratio: 0.6, depth: 0.05 };
         let _ = settings.notches.push(notch);
     }
     settings
