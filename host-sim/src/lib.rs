@@ -3,20 +3,25 @@
 //! - [`Rig`]: the rig as it is known, from TOML, with the settings of effects
 //! - [`effects`]: what a rig may do beyond its nominal model, one file each
 //! - [`simulate`](fn@simulate): whole recordings without noise, for fits and replays
+//! - [`platform`]: the second paper's compliant platforms, chains of lumped masses
+//! - [`AnyRig`]: a rig file of either kind
 //! - [`Plant`]: a tick at a time with noise and rounding, for closed loops
 //! - [`closed_loop`]: the control core against the plant
 //!
 //! Lengths in m, voltages in V, times in s unless a name ends in another unit.
 
+mod any_rig;
 pub mod closed_loop;
 pub mod effects;
 mod plant;
+pub mod platform;
 pub mod rig;
 mod simulate;
 pub mod stages;
 mod start;
 pub mod tuning;
 
+pub use any_rig::AnyRig;
 pub use effects::Place;
 pub use plant::{Options, Plant, Sample};
 pub use rig::{Rig, RigError};
