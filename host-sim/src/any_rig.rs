@@ -29,7 +29,8 @@ impl AnyRig {
     /// Read a rig file.
     pub fn load(path: &Path) -> Result<Self, RigError> {
         let source = path.display().to_string();
-        let text = fs::read_to_string(path).map_err(|error| RigError::new(&source, error))?;
+        let text =
+            fs::read_to_string(path).map_err(|error| RigError::new(&source, error.to_string()))?;
         Self::parse(&text, &source)
     }
 

@@ -156,8 +156,8 @@ pub struct Friction {
 }
 
 impl Friction {
-    /// Speed below which the friction is taken as viscous, in m/s: 1 um/s, far below what a recording resolves in seconds.
-    pub const REGULAR_M_PER_S: f64 = 1.0e-6;
+    /// Speed below which the friction is taken as viscous, in m/s: 0.1 um/s, far below what a recording resolves in seconds.
+    pub const REGULAR_M_PER_S: f64 = 1.0e-7;
 }
 
 /// Noise of the position measurement.
