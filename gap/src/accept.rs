@@ -1,0 +1,89 @@
+//! When a gap is a gap, when a cause is a cause, and when the tool must say that it does not know.
+
+use crate::diagnosis::Verdict;
+use crate::energy::Energies;
+use crate::floor::Kind;
+use crate::scene::{Scene, Stack};
+
+/// Excess energy of an axis, as a share of its noise energy over the session, that counts as a gap: 0.14 sigma.
+const AXIS_EXCESS: f64 = 0.02;
+/// The same for one recording of one axis: 0.35 sigma.
+const CHANNEL_EXCESS: f64 = 0.12;
+/// ... and it must be this many standard deviations of a chi-square sum.
+const SIGNIFICANT: f64 = 6.0;
+/// Held-out share that an explanation must close to be called one.
+const EXPLAINS: f64 = 0.90;
+/// Below this share on an axis, the causes found there are taken for proxies of something else.
+const PROXY: f64 = 0.70;
+
+/// Gap of one axis in units of its noise.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct AxisGapSize {
+    /// Excess energy over noise energy.
+    pub ratio: f64,
+    /// Whether it counts.
+    pub counts: bool,
+}
+
+/// Which axes have a gap beyond noise, in a whitened stack.
+pub fn gaps(scene: &Scene, stack: &Stack) -> Vec<AxisGapSize> {
+    let axes = scene.position_noise.len();
+    let mut excess = vec![0.0; axes];
+    let mut noise = vec![0.0; axes];
+    let mut variance = vec![0.0; axes];
+    let mut worst = vec![0.0_f64; axes];
+    for (c, channel) in scene.channels.iter().enumerate() {
+        let Some(row) = &stack[c] else { continue };
+        let own = channel.excess(row);
+        let floor: f64 =
+            channel.unrepeatable.iter().enumerate().map(|(l, v)| v * channel.levels.range(l).len() as f64).sum();
+        let spread: f64 = channel
+            .unrepeatable
+            .iter()
+            .enumerate()
+            .map(|(l, v)| 2.0 * v * v * channel.levels.range(l).len() as f64)
+            .sum();
+        let significant = own > SIGNIFICANT * spread.sqrt();
+        if significant {
+            worst[channel.axis] = worst[channel.axis].max(own / floor / CHANNEL_EXCESS);
+        }
+        if channel.kind == Kind::Position {
+            excess[channel.axis] += own;
+            noise[channel.axis] += floor;
+            variance[channel.axis] += spread;
+        }
+    }
+    (0..axes)
+        .map(|axis| {
+            let ratio = if noise[axis] > 0.0 { excess[axis] / noise[axis] } else { 0.0 };
+            let whole = ratio > AXIS_EXCESS && excess[axis] > SIGNIFICANT * variance[axis].sqrt();
+            AxisGapSize { ratio, counts: whole || worst[axis] > 1.0 }
+        })
+        .collect()
+}
+
+/// What is left of the gap of each axis, as a share, over the channels of `energies`.
+pub fn closed_by_axis(energies: &Energies, axes: usize) -> Vec<Option<f64>> {
+    let gap = energies.gap(axes);
+    (0..axes)
+        .map(|axis| {
+            let own = gap.per_axis.iter().find(|g| g.axis == axis + 1)?;
+            let before = own.before_nm.powi(2) - own.floor_nm.powi(2);
+            (before > 0.02 * own.floor_nm.powi(2)).then_some(own.closed)
+        })
+        .collect()
+}
+
+/// The verdict, from what is left.
+pub fn verdict(closed: f64, causes: usize, left: &[AxisGapSize]) -> Verdict {
+    if causes == 0 {
+        return Verdict::Unexplained;
+    }
+    let clean = left.iter().all(|g| !g.counts);
+    if clean || closed >= EXPLAINS { Verdict::Explained } else { Verdict::PartlyExplained }
+}
+
+/// Whether causes that close this share of an axis may be named for it.
+pub fn names(closed: f64) -> bool {
+    closed >= PROXY
+}

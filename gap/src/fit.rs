@@ -1,0 +1,298 @@
+//! Joint output-error fit: Levenberg-Marquardt on whitened residuals of simulations.
+//!
+//! The normal equations are summed channel by channel, so that no Jacobian of millions of rows is ever stored, and knobs whose
+//! channels do not overlap share one simulation per finite difference: three axes cost as much as one. That is why the dense solver of the
+//! `levenberg-marquardt` crate (one column a knob, one simulation a column) is not used here. Marquardt 1963; bounds by projection.
+
+use host_sim::rig::Rig;
+use nalgebra::{DMatrix, DVector};
+
+use crate::Error;
+use crate::knobs::Knob;
+use crate::scene::{Channel, Scene, Stack, Wanted, dot};
+
+/// A fitted set of knobs.
+#[derive(Clone)]
+pub struct Fit {
+    /// What was turned.
+    pub knobs: Vec<Knob>,
+    /// Best values.
+    pub values: Vec<f64>,
+    /// The rig with them.
+    pub rig: Rig,
+    /// Sum of squared whitened residuals over the channels that were fitted.
+    pub cost: f64,
+    /// Whitened residuals there.
+    pub stack: Stack,
+    /// Normal matrix at the best point, in units of the knobs' steps.
+    pub normal: DMatrix<f64>,
+    /// `true` where a knob ended at a bound.
+    pub at_bound: Vec<bool>,
+}
+
+/// How long and on what to fit.
+#[derive(Clone, Copy)]
+pub struct Effort {
+    /// Most iterations.
+    pub iterations: usize,
+    /// Stop when the cost falls by less than this share.
+    pub tolerance: f64,
+}
+
+impl Default for Effort {
+    fn default() -> Self {
+        Self { iterations: 8, tolerance: 1.0e-3 }
+    }
+}
+
+/// Cost of a stack over the channels it holds.
+pub fn cost(stack: &Stack) -> f64 {
+    stack.iter().flatten().map(|row| dot(row, row)).sum()
+}
+
+/// Build the rig of a set of values.
+pub fn rig_with(base: &Rig, knobs: &[Knob], values: &[f64]) -> Result<Rig, Error> {
+    let mut rig = base.clone();
+    for (knob, &value) in knobs.iter().zip(values) {
+        knob.write(&mut rig, value)?;
+    }
+    Ok(rig)
+}
+
+/// Internal coordinate of a value: logarithm or multiple of its natural scale.
+fn to_step(knob: &Knob, value: f64) -> f64 {
+    if knob.log { (value / knob.scale).ln() } else { (value - knob.origin) / knob.scale }
+}
+
+fn free_step(knob: &Knob, coordinate: f64) -> f64 {
+    if knob.log { knob.scale * coordinate.exp() } else { knob.origin + knob.scale * coordinate }
+}
+
+fn from_step(knob: &Knob, coordinate: f64) -> f64 {
+    free_step(knob, coordinate).clamp(knob.min, knob.max)
+}
+
+/// Step of the finite difference in internal coordinates: large enough to see past kinks, small enough to be local.
+fn difference(knob: &Knob, coordinate: f64) -> f64 {
+    let step = if knob.log { 0.05 } else { 0.05 * coordinate.abs().max(0.2) };
+    // Step inwards at the upper bound.
+    if free_step(knob, coordinate + step) > knob.max { -step } else { step }
+}
+
+/// Groups of knobs that share a simulation because their channels do not overlap.
+fn groups(knobs: &[Knob], rig: &Rig) -> Vec<(Vec<usize>, Wanted)> {
+    let mut groups: Vec<(Vec<usize>, Wanted)> = Vec::new();
+    for (index, knob) in knobs.iter().enumerate() {
+        let wanted = knob.wanted(rig);
+        match groups.iter_mut().find(|(_, w)| w.axes & wanted.axes == 0 && w.monitors == wanted.monitors) {
+            Some((members, w)) => {
+                members.push(index);
+                w.axes |= wanted.axes;
+            }
+            None => groups.push((vec![index], wanted)),
+        }
+    }
+    groups
+}
+
+/// Sensitivities at a point: one whitened stack a group of knobs, per internal step.
+pub struct Sensitivities {
+    groups: Vec<(Vec<usize>, Wanted)>,
+    stacks: Vec<Stack>,
+    wanted: Vec<Wanted>,
+}
+
+impl Sensitivities {
+    /// Number of knobs.
+    pub fn len(&self) -> usize {
+        self.wanted.len()
+    }
+
+    /// `true` without knobs.
+    pub fn is_empty(&self) -> bool {
+        self.wanted.is_empty()
+    }
+
+    /// Change of channel `channel` (of axis `axis`) per internal step of knob `knob`; `None` where it has none.
+    pub fn row(&self, knob: usize, channel: usize, axis: usize) -> Option<&Vec<f32>> {
+        if self.wanted[knob].axes >> axis & 1 == 0 {
+            return None;
+        }
+        let group = self.groups.iter().position(|(members, _)| members.contains(&knob))?;
+        self.stacks[group][channel].as_ref()
+    }
+
+    /// Finite differences around `values`.
+    pub fn at(
+        scene: &Scene,
+        base: &Rig,
+        knobs: &[Knob],
+        values: &[f64],
+        stack: &Stack,
+        include: &(dyn Fn(&Channel) -> bool + Sync),
+    ) -> Result<Self, Error> {
+        let groups = groups(knobs, base);
+        let mut rigs = Vec::with_capacity(groups.len());
+        let mut steps = vec![0.0; knobs.len()];
+        for (members, _) in &groups {
+            let mut moved = values.to_vec();
+            for &k in members {
+                let coordinate = to_step(&knobs[k], values[k]);
+                let step = difference(&knobs[k], coordinate);
+                moved[k] = from_step(&knobs[k], coordinate + step);
+                steps[k] = to_step(&knobs[k], moved[k]) - coordinate;
+            }
+            rigs.push(rig_with(base, knobs, &moved)?);
+        }
+        let wanted: Vec<Wanted> = knobs.iter().map(|k| k.wanted(base)).collect();
+        let jobs: Vec<(&Rig, Wanted)> = rigs.iter().zip(&groups).map(|(rig, (_, w))| (rig, *w)).collect();
+        let mut stacks = scene.residuals(&jobs, include)?;
+        for (moved, (members, _)) in stacks.iter_mut().zip(&groups) {
+            for (c, row) in moved.iter_mut().enumerate() {
+                let Some(changed) = row else { continue };
+                let axis = scene.channels[c].axis;
+                let Some(&knob) = members.iter().find(|&&k| wanted[k].axes >> axis & 1 == 1) else {
+                    *row = None;
+                    continue;
+                };
+                let Some(here) = &stack[c] else { continue };
+                let scale = if steps[knob] == 0.0 { 0.0 } else { (1.0 / steps[knob]) as f32 };
+                for (x, &h) in changed.iter_mut().zip(here) {
+                    *x = (*x - h) * scale;
+                }
+            }
+        }
+        Ok(Self { groups, stacks, wanted })
+    }
+
+    /// Normal matrix and gradient over the channels of `stack`.
+    pub fn normal(&self, scene: &Scene, stack: &Stack) -> (DMatrix<f64>, DVector<f64>) {
+        let n = self.wanted.len();
+        let mut matrix = DMatrix::zeros(n, n);
+        let mut gradient = DVector::zeros(n);
+        for (c, channel) in scene.channels.iter().enumerate() {
+            let Some(here) = &stack[c] else { continue };
+            let rows: Vec<(usize, &Vec<f32>)> =
+                (0..n).filter_map(|k| self.row(k, c, channel.axis).map(|row| (k, row))).collect();
+            for (i, &(a, row)) in rows.iter().enumerate() {
+                gradient[a] += dot(row, here);
+                for &(b, other) in &rows[..=i] {
+                    let product = dot(row, other);
+                    matrix[(a, b)] += product;
+                    if a != b {
+                        matrix[(b, a)] += product;
+                    }
+                }
+            }
+        }
+        (matrix, gradient)
+    }
+}
+
+/// Fit `knobs`, starting at `start`, to the channels that `include` lets through.
+pub fn fit(
+    scene: &Scene,
+    base: &Rig,
+    knobs: Vec<Knob>,
+    start: Vec<f64>,
+    effort: Effort,
+    include: &(dyn Fn(&Channel) -> bool + Sync),
+) -> Result<Fit, Error> {
+    let mut values: Vec<f64> = start.iter().zip(&knobs).map(|(v, k)| v.clamp(k.min, k.max)).collect();
+    let mut rig = rig_with(base, &knobs, &values)?;
+    let mut stack = scene.residuals(&[(&rig, Wanted::ALL)], include)?.remove(0);
+    let mut best = cost(&stack);
+    let mut lambda = 1.0e-3;
+    let mut normal = DMatrix::zeros(knobs.len(), knobs.len());
+    for _ in 0..effort.iterations {
+        if knobs.is_empty() {
+            break;
+        }
+        let sensitivities = Sensitivities::at(scene, base, &knobs, &values, &stack, include)?;
+        let (matrix, gradient) = sensitivities.normal(scene, &stack);
+        normal = matrix.clone();
+        let mut improved = false;
+        let before = best;
+        for _ in 0..5 {
+            let Some(trial) = step(&knobs, &values, &matrix, &gradient, lambda) else { break };
+            let candidate = rig_with(base, &knobs, &trial)?;
+            let Ok(mut stacks) = scene.residuals(&[(&candidate, Wanted::ALL)], include) else {
+                lambda *= 10.0;
+                continue;
+            };
+            let moved = stacks.remove(0);
+            let value = cost(&moved);
+            if value < best {
+                (values, rig, stack, best) = (trial, candidate, moved, value);
+                lambda = (lambda * 0.1).max(1.0e-9);
+                improved = true;
+                break;
+            }
+            lambda = (lambda * 8.0).max(1.0e-2);
+        }
+        if !improved || before - best < effort.tolerance * before {
+            break;
+        }
+    }
+    let at_bound = knobs
+        .iter()
+        .zip(&values)
+        .map(|(k, &v)| {
+            let slack = 1.0e-6 * (k.max - k.min).abs();
+            v <= k.min + slack || v >= k.max - slack
+        })
+        .collect();
+    Ok(Fit { knobs, values, rig, cost: best, stack, normal, at_bound })
+}
+
+/// One damped step, knobs at a bound that want to leave it frozen.
+fn step(knobs: &[Knob], values: &[f64], matrix: &DMatrix<f64>, gradient: &DVector<f64>, lambda: f64) -> Option<Vec<f64>> {
+    let free: Vec<usize> = (0..knobs.len())
+        .filter(|&k| {
+            let down = gradient[k] > 0.0;
+            matrix[(k, k)] > 1.0e-12
+                && !(down && values[k] <= knobs[k].min)
+                && !(!down && values[k] >= knobs[k].max)
+        })
+        .collect();
+    if free.is_empty() {
+        return None;
+    }
+    let mut damped = DMatrix::zeros(free.len(), free.len());
+    let mut rhs = DVector::zeros(free.len());
+    for (i, &a) in free.iter().enumerate() {
+        rhs[i] = -gradient[a];
+        for (j, &b) in free.iter().enumerate() {
+            damped[(i, j)] = matrix[(a, b)];
+        }
+        damped[(i, i)] *= 1.0 + lambda;
+        damped[(i, i)] += 1.0e-9;
+    }
+    let delta = damped.cholesky()?.solve(&rhs);
+    let mut moved = values.to_vec();
+    for (i, &k) in free.iter().enumerate() {
+        let coordinate = to_step(&knobs[k], values[k]);
+        // A log step beyond a factor of e^1.5 or four natural sizes leaves the region where the slope means anything.
+        let limit = if knobs[k].log { 1.5 } else { 4.0 * coordinate.abs().max(1.0) };
+        moved[k] = from_step(&knobs[k], coordinate + delta[i].clamp(-limit, limit));
+    }
+    Some(moved)
+}
+
+impl Fit {
+    /// Standard deviations of the values. `inflate` multiplies the noise variance: correlated and model-form error.
+    pub fn deviations(&self, inflate: f64) -> Vec<f64> {
+        let n = self.knobs.len();
+        let mut regular = self.normal.clone();
+        for k in 0..n {
+            regular[(k, k)] += 1.0e-12 + 1.0e-9 * regular[(k, k)];
+        }
+        let Some(inverse) = regular.try_inverse() else { return vec![f64::INFINITY; n] };
+        (0..n)
+            .map(|k| {
+                let sd = (inverse[(k, k)].max(0.0) * inflate).sqrt();
+                if self.knobs[k].log { sd * self.values[k].abs() } else { sd * self.knobs[k].scale }
+            })
+            .collect()
+    }
+}

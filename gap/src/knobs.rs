@@ -1,0 +1,149 @@
+//! What a fit turns: parameters of catalogue effects at their places, or nominal values of the rig.
+
+use host_sim::effects::{Effect, Place, Role, Scope};
+use host_sim::rig::Rig;
+
+use crate::Error;
+use crate::scene::Wanted;
+
+/// An effect of the catalogue.
+pub type EffectRef = &'static dyn Effect;
+
+/// One number that a fit turns, with its bounds and natural scale.
+#[derive(Clone)]
+pub struct Knob {
+    /// What it changes in the rig.
+    pub target: Target,
+    /// Lower bound.
+    pub min: f64,
+    /// Upper bound.
+    pub max: f64,
+    /// Value without effect; the origin of linear steps.
+    pub origin: f64,
+    /// A size worth finding, from the origin (or as a ratio, for knobs stepped by ratios): sets steps and scaling.
+    pub scale: f64,
+    /// Stepped multiplicatively.
+    pub log: bool,
+}
+
+/// Where the number lives.
+#[derive(Clone)]
+pub enum Target {
+    /// Parameter `index` of an effect at a place.
+    Effect {
+        /// Effect.
+        effect: EffectRef,
+        /// Axis or pair.
+        place: Place,
+        /// Index into its parameters.
+        index: usize,
+    },
+    /// A nominal value.
+    Nominal {
+        /// Axis whose channels see it first.
+        axis: usize,
+        /// Writes the value.
+        write: fn(&mut Rig, usize, usize, f64),
+        /// Element or column, for values that are arrays.
+        element: usize,
+        /// `false` when monitors cannot see it.
+        monitors: bool,
+        /// Name for people.
+        name: &'static str,
+        /// Unit of the value.
+        unit: &'static str,
+    },
+}
+
+impl Knob {
+    /// Knob for a parameter of an effect.
+    pub fn effect(effect: EffectRef, place: Place, index: usize) -> Self {
+        let p = &effect.info().parameters[index];
+        let (origin, scale) = if p.log {
+            (0.0, p.typical)
+        } else if p.role == Role::Size {
+            (p.zero, (p.typical - p.zero).abs())
+        } else {
+            (0.0, p.typical.abs().max(1.0e-3 * (p.max - p.min)))
+        };
+        Self { target: Target::Effect { effect, place, index }, min: p.min, max: p.max, origin, scale, log: p.log }
+    }
+
+    /// Write `value` into the rig.
+    pub fn write(&self, rig: &mut Rig, value: f64) -> Result<(), Error> {
+        let value = value.clamp(self.min, self.max);
+        match &self.target {
+            Target::Effect { effect, place, index } => {
+                let info = effect.info();
+                rig.set(info.name, *place, info.parameters[*index].name, value).map_err(|e| Error::Rig(e.to_string()))
+            }
+            Target::Nominal { axis, write, element, .. } => {
+                write(rig, *axis, *element, value);
+                Ok(())
+            }
+        }
+    }
+
+    /// Channels that see this knob directly.
+    pub fn wanted(&self, rig: &Rig) -> Wanted {
+        match &self.target {
+            Target::Effect { effect, place, .. } => {
+                let monitors = sees_monitor(*effect);
+                Wanted { axes: axes_seen(rig, *effect, *place), monitors }
+            }
+            Target::Nominal { axis, monitors, .. } => Wanted { axes: spread_by_output(rig, 1 << axis), monitors: *monitors },
+        }
+    }
+}
+
+/// Whether an effect can change the amplifier's measured output.
+pub fn sees_monitor(effect: EffectRef) -> bool {
+    use host_sim::effects::Stage;
+    matches!(effect.info().stage, Stage::Drive | Stage::Amplifier)
+}
+
+/// Axes whose position an effect at `place` changes to first order.
+pub fn axes_seen(rig: &Rig, effect: EffectRef, place: Place) -> u32 {
+    let own = match place {
+        Place::Axis(axis) => 1 << axis,
+        Place::Pair { on, from } if effect.info().scope == Scope::ReciprocalPair => 1 << on | 1 << from,
+        Place::Pair { on, .. } => 1 << on,
+    };
+    // A gauge effect stays on its own gauge; everything before it is spread by the sensor geometry.
+    if effect.info().stage == host_sim::effects::Stage::Sensor { own } else { spread_by_output(rig, own) }
+}
+
+/// Gauges that see the given axes through the sensor geometry.
+fn spread_by_output(rig: &Rig, axes: u32) -> u32 {
+    let Some(map) = &rig.output_map else { return axes };
+    let mut seen = 0;
+    for (sensor, row) in map.iter().enumerate() {
+        if row.iter().enumerate().any(|(axis, &gain)| gain != 0.0 && axes >> axis & 1 == 1) {
+            seen |= 1 << sensor;
+        }
+    }
+    seen
+}
+
+/// Places where an effect may sit in a rig of `axes` axes.
+pub fn places(effect: EffectRef, axes: usize) -> Vec<Place> {
+    match effect.info().scope {
+        Scope::Axis => (0..axes).map(Place::Axis).collect(),
+        Scope::Pair => (0..axes)
+            .flat_map(|on| (0..axes).filter(move |&from| from != on).map(move |from| Place::Pair { on, from }))
+            .collect(),
+        Scope::ReciprocalPair => {
+            (0..axes).flat_map(|on| (on + 1..axes).map(move |from| Place::Pair { on, from })).collect()
+        }
+    }
+}
+
+/// Knobs of an effect at one place: sizes and shapes in the order of its parameters.
+pub fn knobs_at(effect: EffectRef, place: Place) -> Vec<Knob> {
+    (0..effect.info().parameters.len()).map(|index| Knob::effect(effect, place, index)).collect()
+}
+
+/// `true` when a parameter decides how large the effect is rather than how it is shaped.
+pub fn is_size(effect: EffectRef, index: usize) -> bool {
+    effect.info().parameters[index].role == Role::Size
+}

@@ -1,0 +1,126 @@
+//! Octave-pair bands of a residual by an orthonormal block transform.
+//!
+//! Blocks of four samples are split into their mean and what differs from it; the means go on to the next level. The
+//! transform is orthonormal, so energy, noise and inner products carry over band by band, and a gap that sits in
+//! one band can be weighed by the noise and the size of the gap in that band. Level 0 holds the fastest content
+//! (above an eighth of the sample rate, roughly); the last one the mean.
+
+/// Samples in a block.
+pub const BLOCK: usize = 4;
+/// Most levels: 4^10 samples are a minute and a half at 10 kHz.
+pub const MAX_LEVELS: usize = 11;
+
+/// Where the levels of a series of `len` samples start in its coefficients.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Levels {
+    /// `starts[l]..starts[l + 1]` are the coefficients of level `l`.
+    pub starts: Vec<usize>,
+}
+
+impl Levels {
+    /// Layout for a series of `len` samples.
+    pub fn new(len: usize) -> Self {
+        let mut starts = vec![0];
+        let mut left = len;
+        let mut at = 0;
+        while left >= 2 * BLOCK && starts.len() < MAX_LEVELS {
+            let means = left.div_ceil(BLOCK);
+            // A full block has three details; the short block at the end keeps one less than it has samples.
+            at += left - means;
+            starts.push(at);
+            left = means;
+        }
+        starts.push(at + left);
+        Self { starts }
+    }
+
+    /// Number of levels, the means included.
+    pub fn count(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// Coefficients of a level.
+    pub fn range(&self, level: usize) -> std::ops::Range<usize> {
+        self.starts[level]..self.starts[level + 1]
+    }
+}
+
+/// Coefficients of `series`, level after level, and as many as there are samples.
+pub fn transform(series: &[f32], levels: &Levels) -> Vec<f32> {
+    let mut out = vec![0.0; series.len()];
+    let mut current = series.to_vec();
+    for level in 0..levels.count() - 1 {
+        let detail = &mut out[levels.range(level)];
+        let mut means = Vec::with_capacity(current.len().div_ceil(BLOCK));
+        let mut at = 0;
+        for block in current.chunks(BLOCK) {
+            if let [a, b, c, d] = *block {
+                // Haar over pairs of pairs: orthonormal, three details and one scaled mean.
+                let half = std::f32::consts::FRAC_1_SQRT_2;
+                let (s, t) = ((a + b) * half, (c + d) * half);
+                detail[at] = (a - b) * half;
+                detail[at + 1] = (c - d) * half;
+                detail[at + 2] = (s - t) * half;
+                means.push((s + t) * half);
+                at += 3;
+            } else {
+                let (mean, details) = short_block(block);
+                detail[at..at + details.len()].copy_from_slice(&details);
+                means.push(mean);
+                at += details.len();
+            }
+        }
+        current = means;
+    }
+    out[levels.range(levels.count() - 1)].copy_from_slice(&current);
+    out
+}
+
+/// Orthonormal split of a block of one to three samples into its scaled mean and the rest.
+fn short_block(block: &[f32]) -> (f32, Vec<f32>) {
+    let scale = (block.len() as f32).sqrt();
+    let mut details = Vec::new();
+    let mut sum = block[0];
+    for (k, &value) in block.iter().enumerate().skip(1) {
+        // Helmert's rows: the running mean against the next sample.
+        let k = k as f32;
+        details.push((sum / k - value) * (k / (k + 1.0)).sqrt());
+        sum += value;
+    }
+    (sum / scale, details)
+}
+
+/// Centre frequency of a level in Hz, for people; the last level holds the mean and is reported as 0.
+pub fn centre_hz(level: usize, levels: &Levels, rate_hz: f64) -> f64 {
+    if level + 1 == levels.count() { 0.0 } else { rate_hz / 4.0 / (BLOCK as f64).powi(level as i32) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keeps_energy_and_inner_products_for_any_length() {
+        for n in [8_usize, 9, 37, 64, 1001, 4099] {
+            let a: Vec<f32> = (0..n).map(|i| (i as f32 * 0.37).sin() + 0.01 * i as f32).collect();
+            let b: Vec<f32> = (0..n).map(|i| (i as f32 * 0.11).cos()).collect();
+            let levels = Levels::new(n);
+            assert_eq!(*levels.starts.last().unwrap(), n);
+            let dot = |x: &[f32], y: &[f32]| -> f64 {
+                x.iter().zip(y).map(|(&x, &y)| f64::from(x) * f64::from(y)).sum()
+            };
+            let (ta, tb) = (transform(&a, &levels), transform(&b, &levels));
+            assert!((dot(&a, &a) / dot(&ta, &ta) - 1.0).abs() < 1e-4, "{n}");
+            assert!((dot(&a, &b) - dot(&ta, &tb)).abs() < 1e-3 * dot(&a, &a), "{n}");
+        }
+    }
+
+    #[test]
+    fn a_constant_sits_in_the_last_level() {
+        let series = vec![2.0_f32; 1 << 10];
+        let levels = Levels::new(series.len());
+        let out = transform(&series, &levels);
+        let last: f32 = out[levels.range(levels.count() - 1)].iter().map(|x| x * x).sum();
+        assert!((last / (4.0 * 1024.0) - 1.0).abs() < 1e-5);
+    }
+}

@@ -1,0 +1,387 @@
+//! A session ready to be compared with simulations: channels, their noise, and whitened residuals.
+//!
+//! A [`Channel`] is one measured quantity of one axis in one recording (or block of it). Its residual is split into bands
+//! ([`crate::pyramid`]), divided by the noise of the band, and by a tolerance for the form of the model:
+//! `variance = noise + (tolerance * nominal gap in this band)^2`. An effect of the right kind but of a slightly other
+//! form than the rig's then ranks by how much of the gap it removes in *every* band, level and axis, rather than by
+//! the one loud recording. Residuals are measured minus simulated.
+
+use std::sync::Arc;
+
+use host_sim::rig::Rig;
+use host_sim::simulate::{Axes, Initial, Input, Memory, Output, simulate};
+use rayon::prelude::*;
+
+use crate::Error;
+use crate::floor::{self, Kind, Noise};
+use crate::intake::Track;
+use crate::pyramid::{Levels, transform};
+
+/// Share of the nominal gap of a band that a correct effect of another form may leave.
+pub const TOLERANCE: f64 = 0.05;
+const METRES_TO_UM: f64 = 1.0e6;
+
+/// One measured quantity of one axis in one recording.
+#[derive(Debug, Clone)]
+pub struct Channel {
+    /// Index of the recording.
+    pub track: usize,
+    /// Axis, from 0.
+    pub axis: usize,
+    /// Position or monitor.
+    pub kind: Kind,
+    /// Noise, micrometres or volts.
+    pub sigma: f64,
+    /// Scored samples.
+    pub range: std::ops::Range<usize>,
+    /// Bands of the scored samples.
+    pub levels: Levels,
+    /// Variance that nothing can explain, in units of `sigma` squared, band by band.
+    pub unrepeatable: Vec<f64>,
+    /// Weight of each band: one over the square root of its variance.
+    pub weights: Vec<f32>,
+    /// Directions that the unknown memory of the stack may take, units of the noise.
+    memory: Vec<Vec<f32>>,
+    /// The same, whitened and orthonormal.
+    nuisance: Vec<Vec<f32>>,
+    /// Held out from fits.
+    pub held_out: bool,
+}
+
+/// Whitened residuals, one entry a channel; `None` where the simulation could not have changed it.
+pub type Stack = Vec<Option<Vec<f32>>>;
+
+/// A session and how it is compared.
+#[derive(Debug, Clone)]
+pub struct Scene {
+    /// Recordings on their clocks.
+    pub tracks: Arc<Vec<Track>>,
+    /// What is compared.
+    pub channels: Vec<Channel>,
+    /// Position noise of each axis.
+    pub position_noise: Vec<Option<Noise>>,
+    /// Monitor noise of each axis.
+    pub monitor_noise: Vec<Option<Noise>>,
+}
+
+/// What a simulation is wanted for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Wanted {
+    /// Bit mask of axes.
+    pub axes: u32,
+    /// Compare the amplifier monitors too.
+    pub monitors: bool,
+}
+
+impl Wanted {
+    /// Everything.
+    pub const ALL: Self = Self { axes: u32::MAX, monitors: true };
+}
+
+impl Scene {
+    /// Channels and noise of a session; weights are those of the noise alone until [`Scene::weigh`] is called.
+    pub fn new(rig: &Rig, tracks: Vec<Track>) -> Self {
+        let axes = rig.axes.len();
+        let noise = |axis: usize, kind: Kind| {
+            let stated = match kind {
+                Kind::Position => rig.axes[axis].sensor.noise_rms_m * METRES_TO_UM,
+                Kind::Monitor => rig.axes[axis].monitor.as_ref().map_or(0.0, |m| m.noise_rms_v),
+            };
+            floor::noise(&tracks, axis, kind, stated)
+        };
+        let position_noise: Vec<_> = (0..axes).map(|a| noise(a, Kind::Position)).collect();
+        let monitor_noise: Vec<_> = (0..axes).map(|a| noise(a, Kind::Monitor)).collect();
+        let mut channels = Vec::new();
+        for (index, track) in tracks.iter().enumerate() {
+            for axis in 0..axes {
+                for (kind, column, noise) in [
+                    (Kind::Position, &track.position_um[axis], &position_noise[axis]),
+                    (Kind::Monitor, &track.monitor_v[axis], &monitor_noise[axis]),
+                ] {
+                    let (Some(_), Some(noise)) = (column, noise) else { continue };
+                    channels.push(Channel::new(index, track, axis, kind, noise.sigma, track.settle..track.len()));
+                }
+            }
+        }
+        Self { tracks: Arc::new(tracks), channels, position_noise, monitor_noise }
+    }
+
+    /// Simulate one recording.
+    pub fn output(&self, rig: &Rig, track: usize, axes: Axes, initial: &[Initial]) -> Result<Output, Error> {
+        let track = &self.tracks[track];
+        let drive: Vec<&[f64]> = track.drive_v.iter().map(Vec::as_slice).collect();
+        let input = Input {
+            sample_rate_hz: track.rate_hz,
+            start_s: track.start_s,
+            ticks: None,
+            drive_v: &drive,
+            initial,
+            monitor_v: None,
+        };
+        simulate(rig, &input, axes).map_err(|e| Error::Rig(e.to_string()))
+    }
+
+    /// Residual of a channel in units of its noise, not whitened, over its scored samples.
+    pub fn residual(&self, channel: &Channel, output: &Output) -> Vec<f32> {
+        let track = &self.tracks[channel.track];
+        let (measured, simulated, scale) = match channel.kind {
+            Kind::Position => (&track.position_um[channel.axis], &output.position_m[channel.axis], METRES_TO_UM),
+            Kind::Monitor => (&track.monitor_v[channel.axis], &output.monitor_v[channel.axis], 1.0),
+        };
+        let Some(measured) = measured else { return vec![0.0; channel.range.len()] };
+        let per_sigma = 1.0 / channel.sigma;
+        channel
+            .range
+            .clone()
+            .map(|i| {
+                if track.present[i] {
+                    ((f64::from(measured[i]) - simulated[i] * scale) * per_sigma) as f32
+                } else {
+                    0.0
+                }
+            })
+            .collect()
+    }
+
+    /// Whitened residuals of every rig, in parallel over rigs and recordings.
+    pub fn residuals(&self, rigs: &[(&Rig, Wanted)], include: impl Fn(&Channel) -> bool + Sync) -> Result<Vec<Stack>, Error> {
+        let jobs: Vec<(usize, usize)> = (0..rigs.len())
+            .flat_map(|rig| (0..self.tracks.len()).map(move |track| (rig, track)))
+            .collect();
+        let done: Vec<(usize, Vec<(usize, Vec<f32>)>)> = jobs
+            .into_par_iter()
+            .map(|(index, track)| {
+                let (rig, wanted) = rigs[index];
+                let mine: Vec<usize> = (0..self.channels.len())
+                    .filter(|&c| {
+                        let channel = &self.channels[c];
+                        channel.track == track
+                            && wanted.axes >> channel.axis & 1 == 1
+                            && (wanted.monitors || channel.kind == Kind::Position)
+                            && include(channel)
+                    })
+                    .collect();
+                if mine.is_empty() {
+                    return Ok((index, Vec::new()));
+                }
+                let mask = mine.iter().fold(0_u32, |m, &c| m | 1 << self.channels[c].axis);
+                let output = self.output(rig, track, Axes::Only(mask), &[])?;
+                let rows = mine
+                    .into_iter()
+                    .map(|c| (c, self.channels[c].whiten(&self.residual(&self.channels[c], &output))))
+                    .collect();
+                Ok((index, rows))
+            })
+            .collect::<Result<_, Error>>()?;
+        let mut stacks: Vec<Stack> = vec![vec![None; self.channels.len()]; rigs.len()];
+        for (index, rows) in done {
+            for (channel, row) in rows {
+                stacks[index][channel] = Some(row);
+            }
+        }
+        Ok(stacks)
+    }
+
+    /// Residuals over time in units of the noise, what an unknown memory could have caused taken out.
+    pub fn raw(&self, rig: &Rig, include: impl Fn(&Channel) -> bool + Sync) -> Result<Stack, Error> {
+        let rows: Vec<Vec<(usize, Vec<f32>)>> = (0..self.tracks.len())
+            .into_par_iter()
+            .map(|track| {
+                let mine: Vec<usize> = (0..self.channels.len())
+                    .filter(|&c| self.channels[c].track == track && include(&self.channels[c]))
+                    .collect();
+                if mine.is_empty() {
+                    return Ok(Vec::new());
+                }
+                let output = self.output(rig, track, Axes::All, &[])?;
+                Ok(mine
+                    .into_iter()
+                    .map(|c| {
+                        let mut row = self.residual(&self.channels[c], &output);
+                        self.channels[c].remove_memory(&mut row);
+                        (c, row)
+                    })
+                    .collect())
+            })
+            .collect::<Result<_, Error>>()?;
+        let mut stack: Stack = vec![None; self.channels.len()];
+        for (c, row) in rows.into_iter().flatten() {
+            stack[c] = Some(row);
+        }
+        Ok(stack)
+    }
+
+    /// Find out in which channels the unknown memory of the stacks at the start still matters, and set it aside there.
+    pub fn set_aside_memory(&mut self, rig: &Rig) -> Result<(), Error> {
+        let starts = [-1.0, 1.0].map(|sign| -> Vec<Initial> {
+            rig.axes
+                .iter()
+                .map(|axis| {
+                    let hysteresis = &axis.piezo.hysteresis;
+                    let saturation = hysteresis
+                        .capacitance_f
+                        .iter()
+                        .zip(&hysteresis.limit_v)
+                        .map(|(c, v)| 2.0 * c * v)
+                        .fold(0.0, f64::max);
+                    Initial { memory: Memory::Swept(sign * saturation), ..Initial::default() }
+                })
+                .collect()
+        });
+        let rows: Vec<Vec<Vec<Vec<f32>>>> = (0..self.tracks.len())
+            .into_par_iter()
+            .map(|track| {
+                let virgin = self.output(rig, track, Axes::All, &[])?;
+                let swept = [self.output(rig, track, Axes::All, &starts[0])?, self.output(rig, track, Axes::All, &starts[1])?];
+                Ok(self
+                    .channels
+                    .iter()
+                    .filter(|c| c.track == track)
+                    .map(|channel| {
+                        if channel.kind == Kind::Monitor {
+                            return Vec::new();
+                        }
+                        let base = self.residual(channel, &virgin);
+                        swept
+                            .iter()
+                            .map(|output| {
+                                self.residual(channel, output).iter().zip(&base).map(|(a, b)| a - b).collect::<Vec<f32>>()
+                            })
+                            .filter(|d: &Vec<f32>| d.iter().fold(0.0_f32, |m, x| m.max(x.abs())) > 0.3)
+                            .collect()
+                    })
+                    .collect())
+            })
+            .collect::<Result<_, Error>>()?;
+        let mut rows: Vec<_> = rows.into_iter().map(Vec::into_iter).collect();
+        for channel in &mut self.channels {
+            let directions = rows[channel.track].next().unwrap_or_default();
+            channel.memory = directions;
+            channel.orthonormalise();
+        }
+        Ok(())
+    }
+}
+
+impl Channel {
+    /// A channel weighed by its noise alone.
+    pub fn new(track_index: usize, track: &Track, axis: usize, kind: Kind, sigma: f64, range: std::ops::Range<usize>) -> Self {
+        let levels = Levels::new(range.len());
+        let unrepeatable = floor::unrepeatable_levels(track, axis, kind, sigma, &levels);
+        let weights = unrepeatable.iter().map(|v| (1.0 / v.sqrt()) as f32).collect();
+        Self { track: track_index, axis, kind, sigma, range, levels, unrepeatable, weights, memory: Vec::new(), nuisance: Vec::new(), held_out: false }
+    }
+
+    /// Band-weighted coefficients of a residual given in units of the noise, unknown memory removed.
+    pub fn whiten(&self, residual: &[f32]) -> Vec<f32> {
+        let mut out = transform(residual, &self.levels);
+        for (level, &weight) in self.weights.iter().enumerate() {
+            if weight != 1.0 {
+                for x in &mut out[self.levels.range(level)] {
+                    *x *= weight;
+                }
+            }
+        }
+        for direction in &self.nuisance {
+            let share = dot(&out, direction) as f32;
+            for (x, d) in out.iter_mut().zip(direction) {
+                *x -= share * d;
+            }
+        }
+        out
+    }
+
+    /// Allow for a model of another form: `gap` is the mean square of the nominal residual in each band.
+    pub fn weigh(&mut self, power: &[f64], tolerance: f64) {
+        self.weights = power
+            .iter()
+            .zip(&self.unrepeatable)
+            .map(|(p, u)| (1.0 / (u + tolerance * tolerance * (p - u).max(0.0)).sqrt()) as f32)
+            .collect();
+        self.orthonormalise();
+    }
+
+    /// `true` where the unknown memory of the stack reaches into the scored part.
+    pub fn has_memory(&self) -> bool {
+        !self.nuisance.is_empty()
+    }
+
+    /// Least-squares removal of the memory directions from a raw residual.
+    fn remove_memory(&self, row: &mut [f32]) {
+        if self.nuisance.is_empty() {
+            return;
+        }
+        let mut basis: Vec<Vec<f32>> = Vec::new();
+        for direction in &self.memory {
+            let mut d = direction.clone();
+            for b in &basis {
+                let share = dot(&d, b) as f32;
+                d.iter_mut().zip(b).for_each(|(x, y)| *x -= share * y);
+            }
+            let norm = dot(&d, &d).sqrt();
+            if norm > 1.0e-3 * dot(direction, direction).sqrt() {
+                d.iter_mut().for_each(|x| *x /= norm as f32);
+                let share = dot(row, &d) as f32;
+                row.iter_mut().zip(&d).for_each(|(x, y)| *x -= share * y);
+                basis.push(d);
+            }
+        }
+    }
+
+    fn orthonormalise(&mut self) {
+        self.nuisance.clear();
+        for direction in std::mem::take(&mut self.memory) {
+            let before = direction.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt();
+            let mut row = self.whiten(&direction);
+            let norm = dot(&row, &row).sqrt();
+            if norm > 1.0e-3 * before && norm > 0.1 {
+                for x in &mut row {
+                    *x /= norm as f32;
+                }
+                self.nuisance.push(row);
+            }
+            self.memory.push(direction);
+        }
+    }
+
+    /// Mean square of each band of whitened residual `row`, the weights undone, in units of the noise variance.
+    pub fn band_power(&self, row: &[f32]) -> Vec<f64> {
+        (0..self.levels.count())
+            .map(|level| {
+                let part = &row[self.levels.range(level)];
+                let weight = f64::from(self.weights[level]);
+                let energy: f64 = part.iter().map(|&x| f64::from(x).powi(2)).sum();
+                energy / (weight * weight) / part.len().max(1) as f64
+            })
+            .collect()
+    }
+
+    /// Energy of a whitened row beyond what noise leaves there, the weights undone; units of the noise variance.
+    pub fn excess(&self, row: &[f32]) -> f64 {
+        self.band_power(row)
+            .iter()
+            .enumerate()
+            .map(|(l, p)| (p - self.unrepeatable[l]) * self.levels.range(l).len() as f64)
+            .sum()
+    }
+}
+
+/// Inner product in double precision.
+pub fn dot(a: &[f32], b: &[f32]) -> f64 {
+    // Chunks of single-precision sums vectorise; their totals are added in double precision.
+    a.chunks(256)
+        .zip(b.chunks(256))
+        .map(|(a, b)| {
+            let mut lanes = [0.0_f32; 8];
+            let (a8, ar) = a.as_chunks::<8>();
+            let (b8, br) = b.as_chunks::<8>();
+            for (x, y) in a8.iter().zip(b8) {
+                for k in 0..8 {
+                    lanes[k] += x[k] * y[k];
+                }
+            }
+            let tail: f32 = ar.iter().zip(br).map(|(x, y)| x * y).sum();
+            f64::from(lanes.iter().sum::<f32>() + tail)
+        })
+        .sum()
+}

@@ -1,0 +1,250 @@
+//! Screening: what each effect of the catalogue would do to the residuals, at sizes worth finding.
+//!
+//! Every effect is put into the rig at its typical size (threshold effects at three sizes and both signs, shaped ones at three shapes), the
+//! session is simulated once a setting, and the change of the whitened residuals is kept as a direction. A residual is
+//! then tested against all directions by inner products alone, with what is already in the model projected out.
+
+use host_sim::effects::{Place, Role};
+use host_sim::rig::Rig;
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use crate::Error;
+use crate::fit::Sensitivities;
+use crate::knobs::{EffectRef, axes_seen, places, sees_monitor};
+use crate::scene::{Channel, Scene, Stack, Wanted, dot};
+
+/// One effect at one place with one set of parameter values, and what it changes.
+pub struct Direction {
+    /// Index into [`Screen::effects`].
+    pub effect: usize,
+    /// Where.
+    pub place: Place,
+    /// Parameter values that were tried.
+    pub values: Vec<f64>,
+    /// Channel and change of its whitened residual.
+    rows: Vec<(usize, Vec<f32>)>,
+    /// Squared length of all rows.
+    energy: f64,
+}
+
+/// All directions of the catalogue.
+pub struct Screen {
+    /// Effects that were tried.
+    pub effects: Vec<EffectRef>,
+    /// What they change.
+    pub directions: Vec<Direction>,
+}
+
+/// How much an effect at a place would take off the cost, by linear prediction.
+#[derive(Debug, Clone)]
+pub struct Gain {
+    /// Place.
+    pub place: Place,
+    /// Predicted fall of the cost.
+    pub gain: f64,
+    /// Parameter values to start a fit from.
+    pub start: Vec<f64>,
+}
+
+/// Settings to try for an effect.
+fn settings(effect: EffectRef) -> Vec<Vec<f64>> {
+    let parameters = effect.info().parameters;
+    let typical: Vec<f64> =
+        parameters.iter().map(|p| if p.role == Role::Size { p.zero } else { p.typical }).collect();
+    let mut settings: Vec<Vec<f64>> = Vec::new();
+    let mut push = |values: Vec<f64>| {
+        if !settings.contains(&values) {
+            settings.push(values);
+        }
+    };
+    for (index, p) in parameters.iter().enumerate() {
+        if p.role != Role::Size {
+            continue;
+        }
+        let scales: &[f64] = if effect.info().threshold { &[0.35, 1.0, 3.0] } else { &[1.0] };
+        let signs: &[f64] = if p.min < p.zero && effect.info().threshold { &[1.0, -1.0] } else { &[1.0] };
+        for &scale in scales {
+            for &sign in signs {
+                let mut values = typical.clone();
+                let size = if p.log && p.zero > 0.0 && p.zero.is_finite() {
+                    p.zero * (p.typical / p.zero).powf(scale * sign)
+                } else if p.log {
+                    p.typical * scale
+                } else {
+                    p.zero + (p.typical - p.zero) * scale * sign
+                };
+                values[index] = size.clamp(p.min, p.max);
+                // Other sizes stay at zero unless the effect needs them all to act: then the typical one serves.
+                push(values);
+            }
+        }
+        for (other, q) in parameters.iter().enumerate() {
+            if q.role == Role::Size {
+                continue;
+            }
+            for factor in [0.25, 4.0] {
+                let mut values = typical.clone();
+                values[index] = p.typical;
+                let shape = if q.log { q.typical * factor } else { q.typical + (factor - 1.0).signum() * q.typical.abs() * 0.5 };
+                values[other] = shape.clamp(q.min, q.max);
+                push(values);
+            }
+        }
+    }
+    settings
+}
+
+/// Simulate every effect of `effects` in `rig`, whose residuals are `base`.
+pub fn screen(
+    scene: &Scene,
+    rig: &Rig,
+    base: &Stack,
+    effects: &[EffectRef],
+    include: &(dyn Fn(&Channel) -> bool + Sync),
+    tick: &(dyn Fn() + Sync),
+) -> Result<Screen, Error> {
+    // (effect, settings, places that share the simulation, channels)
+    let mut jobs: Vec<(usize, Vec<f64>, Vec<Place>, Wanted)> = Vec::new();
+    for (index, &effect) in effects.iter().enumerate() {
+        let mut groups: Vec<(Vec<Place>, Wanted)> = Vec::new();
+        for place in places(effect, rig.axes.len()) {
+            let axes = axes_seen(rig, effect, place);
+            match groups.iter_mut().find(|(_, w)| w.axes & axes == 0) {
+                Some((members, w)) => {
+                    members.push(place);
+                    w.axes |= axes;
+                }
+                None => groups.push((vec![place], Wanted { axes, monitors: sees_monitor(effect) })),
+            }
+        }
+        for values in settings(effect) {
+            for (members, wanted) in &groups {
+                jobs.push((index, values.clone(), members.clone(), *wanted));
+            }
+        }
+    }
+    let directions: Vec<Vec<Direction>> = jobs
+        .into_par_iter()
+        .map(|(index, values, members, wanted)| {
+            let effect = effects[index];
+            let info = effect.info();
+            let mut changed = rig.clone();
+            for &place in &members {
+                for (parameter, &value) in info.parameters.iter().zip(&values) {
+                    changed.set(info.name, place, parameter.name, value).map_err(|e| Error::Rig(e.to_string()))?;
+                }
+            }
+            tick();
+            // A setting that cannot be simulated is no direction.
+            let Ok(mut stacks) = scene.residuals(&[(&changed, wanted)], include) else { return Ok(Vec::new()) };
+            let mut rows = stacks.remove(0);
+            let mut found = Vec::new();
+            for &place in &members {
+                let axes = axes_seen(rig, effect, place);
+                let mut mine = Vec::new();
+                let mut energy = 0.0;
+                for (c, row) in rows.iter_mut().enumerate() {
+                    if axes >> scene.channels[c].axis & 1 == 0 {
+                        continue;
+                    }
+                    let (Some(mut row), Some(here)) = (row.take(), base[c].as_ref()) else { continue };
+                    for (x, &h) in row.iter_mut().zip(here) {
+                        *x -= h;
+                    }
+                    let own = dot(&row, &row);
+                    // What moves a channel by less than a thousandth of its noise is not worth its memory.
+                    if own > 1.0e-6 * row.len() as f64 {
+                        energy += own;
+                        mine.push((c, row));
+                    }
+                }
+                if energy > 0.0 {
+                    found.push(Direction { effect: index, place, values: values.clone(), rows: mine, energy });
+                }
+            }
+            Ok(found)
+        })
+        .collect::<Result<_, Error>>()?;
+    Ok(Screen { effects: effects.to_vec(), directions: directions.into_iter().flatten().collect() })
+}
+
+impl Screen {
+    /// Test a residual against every direction. `model` holds the sensitivities of what is already in the model.
+    pub fn test(&self, scene: &Scene, stack: &Stack, model: Option<&Sensitivities>) -> Vec<Vec<Gain>> {
+        let tested: Vec<Option<(usize, Gain)>> = self
+            .directions
+            .par_iter()
+            .map(|d| self.gain(scene, d, stack, model).map(|gain| (d.effect, gain)))
+            .collect();
+        let mut best: Vec<Vec<Gain>> = vec![Vec::new(); self.effects.len()];
+        for (effect, gain) in tested.into_iter().flatten() {
+            match best[effect].iter_mut().find(|g| g.place == gain.place) {
+                Some(known) if known.gain >= gain.gain => {}
+                Some(known) => *known = gain,
+                None => best[effect].push(gain),
+            }
+        }
+        best
+    }
+
+    fn gain(&self, scene: &Scene, direction: &Direction, stack: &Stack, model: Option<&Sensitivities>) -> Option<Gain> {
+        let mut along = 0.0;
+        for (c, row) in &direction.rows {
+            along += dot(row, stack[*c].as_ref()?);
+        }
+        let mut energy = direction.energy;
+        if let Some(model) = model {
+            let n = model.len();
+            let mut matrix = DMatrix::<f64>::identity(n, n) * 1.0e-9;
+            let mut gradient = DVector::zeros(n);
+            let mut cross = DVector::zeros(n);
+            for (c, row) in &direction.rows {
+                let here = stack[*c].as_ref()?;
+                let known: Vec<(usize, &Vec<f32>)> =
+                    (0..n).filter_map(|k| model.row(k, *c, scene.channels[*c].axis).map(|r| (k, r))).collect();
+                for &(a, ra) in &known {
+                    gradient[a] += dot(ra, here);
+                    cross[a] += dot(ra, row);
+                    for &(b, rb) in &known {
+                        matrix[(a, b)] += dot(ra, rb);
+                    }
+                }
+            }
+            if let Some(factor) = matrix.cholesky() {
+                let solved = factor.solve(&cross);
+                along -= solved.dot(&gradient);
+                energy -= solved.dot(&cross);
+            }
+        }
+        if energy < 1.0e-6 * direction.energy || energy <= 0.0 {
+            return None;
+        }
+        let effect = self.effects[direction.effect];
+        let parameters = effect.info().parameters;
+        let mut amount = -along / energy;
+        let mut start = direction.values.clone();
+        for (value, p) in start.iter_mut().zip(parameters) {
+            if p.role == Role::Size && *value != p.zero {
+                let reach = if p.log && p.zero > 0.0 && p.zero.is_finite() {
+                    let whole = (*value / p.zero).ln();
+                    let reached = (p.zero * (amount * whole).exp()).clamp(p.min, p.max);
+                    amount = (reached / p.zero).ln() / whole;
+                    reached
+                } else if p.log {
+                    // A size without a zero to scale from is taken or left.
+                    amount = amount.clamp(0.0, 1.0);
+                    *value
+                } else {
+                    let wanted = p.zero + amount * (*value - p.zero);
+                    let reached = wanted.clamp(p.min, p.max);
+                    amount = (reached - p.zero) / (*value - p.zero);
+                    reached
+                };
+                *value = reach;
+            }
+        }
+        let gain = -amount * along * 2.0 - amount * amount * energy;
+        (gain > 0.0).then_some(Gain { place: direction.place, gain, start })
+    }
+}

@@ -1,0 +1,355 @@
+//! Which effects: forward selection over fitted models, with a beam, swaps and backward elimination, up to three effects.
+//!
+//! Costs are whitened (see [`crate::scene`]), so that one unit is one noise variance or one tolerated misfit. A further effect must
+//! remove a fair share of what the better explained model leaves, not merely more than noise would: with 10^5 samples everything
+//! is significant, and an effect whose form differs a little from the rig's leaves something that a second effect could always nibble at.
+
+use host_sim::effects::Place;
+use host_sim::rig::Rig;
+
+use crate::Error;
+use crate::fit::{Effort, Fit, Sensitivities, cost, fit};
+use crate::knobs::{EffectRef, Knob, axes_seen, knobs_at};
+use crate::scene::{Channel, Scene, Stack, Wanted, dot};
+use crate::screen::{Gain, Screen, screen};
+
+/// Singles that are fitted after the screen.
+const SHORTLIST: usize = 7;
+/// Models that the search for a further effect starts from.
+const BEAM: usize = 3;
+/// Partners that are fitted for each of them.
+const PARTNERS: usize = 4;
+/// Most effects in a model.
+const MOST_EFFECTS: usize = 3;
+/// A further effect must remove this share of what the model before it leaves.
+const WORTH_OF_LEFTOVER: f64 = 0.35;
+/// ... and this share of the whole gap (whitened).
+const WORTH_OF_GAP: f64 = 0.01;
+/// ... and this much cost in all, against noise.
+const WORTH_ABSOLUTE: f64 = 60.0;
+/// A place of an effect must be worth this much cost to stay.
+const WORTH_OF_PLACE: f64 = 40.0;
+
+/// One effect and the places where it acts.
+#[derive(Clone)]
+pub struct Term {
+    /// Effect.
+    pub effect: EffectRef,
+    /// Axes or pairs.
+    pub places: Vec<Place>,
+}
+
+impl Term {
+    /// Name in the catalogue.
+    pub fn name(&self) -> &'static str {
+        self.effect.info().name
+    }
+
+    /// Axes (from 0) whose motion this term explains.
+    pub fn axes(&self) -> Vec<usize> {
+        let mut axes: Vec<usize> = Vec::new();
+        for place in &self.places {
+            match *place {
+                Place::Axis(axis) => axes.push(axis),
+                Place::Pair { on, from } => {
+                    axes.push(on);
+                    if self.effect.info().scope == host_sim::effects::Scope::ReciprocalPair {
+                        axes.push(from);
+                    }
+                }
+            }
+        }
+        axes.sort_unstable();
+        axes.dedup();
+        axes
+    }
+}
+
+/// A fitted set of effects.
+#[derive(Clone)]
+pub struct Model {
+    /// Effects.
+    pub terms: Vec<Term>,
+    /// Their fit.
+    pub fit: Fit,
+}
+
+impl Model {
+    /// Names of the effects, sorted: the identity of the model in a search.
+    pub fn key(&self) -> Vec<&'static str> {
+        let mut names: Vec<_> = self.terms.iter().map(Term::name).collect();
+        names.sort_unstable();
+        names
+    }
+
+    /// Number of knobs that a term has.
+    fn knob_range(&self, term: usize) -> std::ops::Range<usize> {
+        let size = |t: &Term| t.places.len() * t.effect.info().parameters.len();
+        let start: usize = self.terms[..term].iter().map(size).sum();
+        start..start + size(&self.terms[term])
+    }
+
+    /// Values of one term at one place.
+    pub fn values(&self, term: usize, place: usize) -> &[f64] {
+        let width = self.terms[term].effect.info().parameters.len();
+        let start = self.knob_range(term).start + place * width;
+        &self.fit.values[start..start + width]
+    }
+
+    /// The rig with this model's effects except those of `term` at the places that `drop` picks.
+    pub fn without(&self, nominal: &Rig, term: usize, drop: impl Fn(Place) -> bool) -> Result<Rig, Error> {
+        let mut rig = nominal.clone();
+        for (t, this) in self.terms.iter().enumerate() {
+            for (p, &place) in this.places.iter().enumerate() {
+                if t == term && drop(place) {
+                    continue;
+                }
+                for (knob, &value) in knobs_at(this.effect, place).iter().zip(self.values(t, p)) {
+                    knob.write(&mut rig, value)?;
+                }
+            }
+        }
+        Ok(rig)
+    }
+}
+
+/// The search: scene, nominal rig, screen of the catalogue and what the whole gap costs.
+pub struct Search<'a> {
+    /// Session.
+    pub scene: &'a Scene,
+    /// Rig as it was given.
+    pub nominal: &'a Rig,
+    /// Whitened nominal residuals of the fitted channels.
+    pub base: Stack,
+    /// Directions of the catalogue.
+    pub screen: Screen,
+    /// Cost of the nominal model beyond noise.
+    pub gap: f64,
+    /// Cost that noise alone leaves.
+    pub noise: f64,
+    /// Every model that was fitted, best first.
+    pub tried: Vec<Model>,
+    include: &'a (dyn Fn(&Channel) -> bool + Sync),
+    tick: &'a (dyn Fn() + Sync),
+}
+
+impl<'a> Search<'a> {
+    /// Screen `effects` on the channels that `include` lets through.
+    pub fn new(
+        scene: &'a Scene,
+        nominal: &'a Rig,
+        effects: &[EffectRef],
+        include: &'a (dyn Fn(&Channel) -> bool + Sync),
+        tick: &'a (dyn Fn() + Sync),
+    ) -> Result<Self, Error> {
+        let base = scene.residuals(&[(nominal, Wanted::ALL)], include)?.remove(0);
+        let noise = noise_cost(scene, &base);
+        let gap = cost(&base) - noise;
+        let screen = screen(scene, nominal, &base, effects, include, tick)?;
+        Ok(Self { scene, nominal, base, screen, gap, noise, tried: Vec::new(), include, tick })
+    }
+
+    /// Find the model. `None` when no single effect is worth anything.
+    pub fn run(&mut self) -> Result<Option<Model>, Error> {
+        let nominal_gains = self.screen.test(self.scene, &self.base, None);
+        let singles = self.shortlist(&nominal_gains, &[], SHORTLIST);
+        for (effect, gains) in singles {
+            let model = self.fit_terms(&[], effect, &gains)?;
+            self.remember(model);
+        }
+        let mut best: Option<Model> = None;
+        for size in 1..=MOST_EFFECTS {
+            let Some(candidate) = self.best_of(size) else { break };
+            let leftover = best.as_ref().map_or(self.gap, |b| b.fit.cost - self.noise);
+            let saved = leftover - (candidate.fit.cost - self.noise);
+            let worth = if size == 1 {
+                saved > WORTH_ABSOLUTE
+            } else {
+                saved > WORTH_ABSOLUTE.max(WORTH_OF_LEFTOVER * leftover).max(WORTH_OF_GAP * self.gap)
+            };
+            if !worth {
+                break;
+            }
+            let left = candidate.fit.cost - self.noise;
+            best = Some(candidate);
+            if size == MOST_EFFECTS || left < WORTH_ABSOLUTE.max(0.5 * WORTH_OF_GAP * self.gap) {
+                break;
+            }
+            self.widen(size)?;
+        }
+        match best {
+            Some(model) => Ok(Some(self.prune(model)?)),
+            None => Ok(None),
+        }
+    }
+
+    /// Fit the best models of `size` effects together with their most promising partners.
+    fn widen(&mut self, size: usize) -> Result<(), Error> {
+        let mut starts: Vec<Model> = self.tried.iter().filter(|m| m.terms.len() == size).cloned().collect();
+        starts.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+        starts.truncate(BEAM);
+        for start in starts {
+            let f = &start.fit;
+            let sensitivities =
+                Sensitivities::at(self.scene, self.nominal, &f.knobs, &f.values, &f.stack, self.include)?;
+            let gains = self.screen.test(self.scene, &f.stack, Some(&sensitivities));
+            let names: Vec<&str> = start.terms.iter().map(Term::name).collect();
+            for (effect, gains) in self.shortlist(&gains, &names, PARTNERS) {
+                let mut key = start.key();
+                key.push(effect.info().name);
+                key.sort_unstable();
+                if self.tried.iter().any(|m| m.key() == key) {
+                    continue;
+                }
+                let model = self.fit_terms(&start_terms(&start), effect, &gains)?;
+                self.remember(model);
+            }
+        }
+        Ok(())
+    }
+
+    /// Best effects by predicted gain, with the places that are worth fitting.
+    fn shortlist(&self, gains: &[Vec<Gain>], taken: &[&str], most: usize) -> Vec<(EffectRef, Vec<Gain>)> {
+        let mut ranked: Vec<(f64, EffectRef, Vec<Gain>)> = gains
+            .iter()
+            .zip(&self.screen.effects)
+            .filter(|(_, effect)| !taken.contains(&effect.info().name))
+            .filter_map(|(gains, &effect)| {
+                let top = gains.iter().map(|g| g.gain).fold(0.0, f64::max);
+                let kept: Vec<Gain> =
+                    gains.iter().filter(|g| g.gain > (0.5 * WORTH_OF_PLACE).max(1.0e-4 * top)).cloned().collect();
+                let total: f64 = kept.iter().map(|g| g.gain).sum();
+                (total > WORTH_ABSOLUTE).then_some((total, effect, kept))
+            })
+            .collect();
+        ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+        ranked.truncate(most);
+        ranked.into_iter().map(|(_, effect, gains)| (effect, gains)).collect()
+    }
+
+    /// Fit `effect` at the places of `gains`, jointly with `known` terms that start at their values.
+    pub fn fit_terms(&self, known: &[(Term, Vec<f64>)], effect: EffectRef, gains: &[Gain]) -> Result<Model, Error> {
+        let mut terms: Vec<Term> = known.iter().map(|(t, _)| t.clone()).collect();
+        let mut start: Vec<f64> = known.iter().flat_map(|(_, v)| v.iter().copied()).collect();
+        terms.push(Term { effect, places: gains.iter().map(|g| g.place).collect() });
+        start.extend(gains.iter().flat_map(|g| g.start.iter().copied()));
+        self.fit_model(terms, start, Effort::default())
+    }
+
+    /// Fit given terms from given values.
+    pub fn fit_model(&self, terms: Vec<Term>, start: Vec<f64>, effort: Effort) -> Result<Model, Error> {
+        let knobs: Vec<Knob> =
+            terms.iter().flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p))).collect();
+        let fit = fit(self.scene, self.nominal, knobs, start, effort, self.include)?;
+        (self.tick)();
+        Ok(Model { terms, fit })
+    }
+
+    fn remember(&mut self, model: Model) {
+        self.tried.push(model);
+        self.tried.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+    }
+
+    /// Best model with exactly `size` effects.
+    pub fn best_of(&self, size: usize) -> Option<Model> {
+        self.tried.iter().filter(|m| m.terms.len() == size).min_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost)).cloned()
+    }
+
+    /// Take out terms and places that the model does not need, and fit the rest again.
+    pub fn prune(&self, model: Model) -> Result<Model, Error> {
+        let mut model = model;
+        loop {
+            let worth = self.worth(&model)?;
+            let mut kept_terms = Vec::new();
+            let mut start = Vec::new();
+            let mut dropped = false;
+            for (t, term) in model.terms.iter().enumerate() {
+                let total: f64 = worth[t].iter().sum();
+                let top = worth[t].iter().copied().fold(0.0, f64::max);
+                let mut places = Vec::new();
+                for (p, &place) in term.places.iter().enumerate() {
+                    let needed = worth[t][p] > WORTH_OF_PLACE.max(0.004 * top);
+                    let term_needed = total > WORTH_ABSOLUTE.max(0.5 * WORTH_OF_GAP * self.gap);
+                    if needed && term_needed {
+                        places.push(place);
+                        start.extend_from_slice(model.values(t, p));
+                    } else {
+                        dropped = true;
+                    }
+                }
+                if !places.is_empty() {
+                    kept_terms.push(Term { effect: term.effect, places });
+                }
+            }
+            if !dropped || kept_terms.is_empty() {
+                return Ok(model);
+            }
+            model = self.fit_model(kept_terms, start, Effort::default())?;
+        }
+    }
+
+    /// Rise of the cost when each place of each term is taken out, the rest left as it is.
+    pub fn worth(&self, model: &Model) -> Result<Vec<Vec<f64>>, Error> {
+        let mut worth = Vec::new();
+        for (t, term) in model.terms.iter().enumerate() {
+            let mut row = vec![0.0; term.places.len()];
+            // Places that reach different channels share a simulation.
+            let mut groups: Vec<(Vec<usize>, u32)> = Vec::new();
+            for (p, &place) in term.places.iter().enumerate() {
+                let axes = axes_seen(self.nominal, term.effect, place);
+                match groups.iter_mut().find(|(_, mask)| *mask & axes == 0) {
+                    Some((members, mask)) => {
+                        members.push(p);
+                        *mask |= axes;
+                    }
+                    None => groups.push((vec![p], axes)),
+                }
+            }
+            for (members, axes) in groups {
+                let dropped: Vec<Place> = members.iter().map(|&p| term.places[p]).collect();
+                let rig = model.without(self.nominal, t, |place| dropped.contains(&place))?;
+                let wanted = Wanted { axes, monitors: true };
+                let stack = self.scene.residuals(&[(&rig, wanted)], self.include)?.remove(0);
+                for &p in &members {
+                    let mask = axes_seen(self.nominal, term.effect, term.places[p]);
+                    for (c, channel) in self.scene.channels.iter().enumerate() {
+                        if mask >> channel.axis & 1 == 0 {
+                            continue;
+                        }
+                        if let (Some(out), Some(with)) = (&stack[c], &model.fit.stack[c]) {
+                            row[p] += dot(out, out) - dot(with, with);
+                        }
+                    }
+                }
+            }
+            worth.push(row);
+        }
+        Ok(worth)
+    }
+}
+
+/// Terms of a model with the values that a wider fit starts from.
+pub fn start_terms(model: &Model) -> Vec<(Term, Vec<f64>)> {
+    (0..model.terms.len())
+        .map(|t| (model.terms[t].clone(), model.fit.values[model.knob_range(t)].to_vec()))
+        .collect()
+}
+
+/// Cost that noise alone would leave in a stack: the sum of all weights squared times the variance that cannot be explained.
+pub fn noise_cost(scene: &Scene, stack: &Stack) -> f64 {
+    scene
+        .channels
+        .iter()
+        .zip(stack)
+        .filter(|(_, row)| row.is_some())
+        .map(|(channel, _)| {
+            (0..channel.levels.count())
+                .map(|l| {
+                    channel.levels.range(l).len() as f64
+                        * channel.unrepeatable[l]
+                        * f64::from(channel.weights[l]).powi(2)
+                })
+                .sum::<f64>()
+        })
+        .sum()
+}
