@@ -2,7 +2,7 @@
 
 use host_sim::effects::Place;
 use host_sim::rig::Rig;
-use host_sim::simulate::{Axes, Input, simulate};
+use host_sim::{Axes, Input, simulate};
 use rayon::prelude::*;
 
 use crate::diagnosis::NextExperiment;

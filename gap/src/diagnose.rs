@@ -11,6 +11,7 @@ use crate::diagnosis::{Cause, CauseKind, Diagnosis, NextExperiment, Parameter, R
 use crate::energy::Energies;
 use crate::fit::{Effort, cost};
 use crate::knobs::{EffectRef, knobs_at};
+use crate::guess::Ranges;
 use crate::locate;
 use crate::picture;
 use crate::scene::{Channel, Scene, Stack, TOLERANCE, Wanted};
@@ -92,12 +93,13 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
         .filter(|e: &&'static dyn Effect| !options.exclude.iter().any(|x| x == e.info().name))
         .collect();
 
+    let ranges = crate::guess::ranges(&scene, rig, &raw_before)?;
     let mut found: Option<Found> = None;
     if gaps.iter().any(|g| g.counts) {
         let mut keep: Vec<usize> = Vec::new();
         for look in 0..2 {
             bar.set_message(if look == 0 { "screening the catalogue" } else { "looking again with other recordings" });
-            let this = search(&scene, rig, &effects, &bar, &gaps)?;
+            let this = search(&scene, rig, &effects, &ranges, &bar, &gaps)?;
             let second = this.as_ref().map_or(look == 0, |f| f.missed.len() > keep.len() && look == 0);
             let missed = match &this {
                 Some(f) => f.missed.clone(),
@@ -140,12 +142,13 @@ fn search(
     scene: &Scene,
     rig: &Rig,
     effects: &[EffectRef],
+    ranges: &Ranges,
     bar: &ProgressBar,
     gaps: &[AxisGapSize],
 ) -> Result<Option<Found>, Error> {
     let fitted = |c: &Channel| !c.held_out;
     let tick = || bar.inc(1);
-    let mut search = Search::new(scene, rig, effects, &fitted, &tick)?;
+    let mut search = Search::new(scene, rig, effects, ranges, &fitted, &tick)?;
     bar.set_message("fitting");
     let Some(model) = search.run()? else { return Ok(None) };
     let gap = search.gap.max(1.0);
@@ -172,10 +175,10 @@ fn search(
     let all = |_: &Channel| true;
     let whole = {
         let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(&model).into_iter().unzip();
-        let knobs = terms.iter().flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p))).collect();
+        let knobs = terms.iter().flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p, ranges))).collect();
         let effort = Effort { iterations: 4, ..Effort::default() };
         let fit = crate::fit::fit(scene, rig, knobs, start.concat(), effort, &all)?;
-        Model { terms, fit }
+        Model { terms, fit, ranges: ranges.clone() }
     };
     Ok(Some(Found { model, whole, rivals, confidence, next, tried, missed, changed: false }))
 }
@@ -352,7 +355,8 @@ fn restrict(rig: &Rig, found: &mut Found, trusted: &[bool]) -> Result<(), Error>
                 terms.push(Term { effect: term.effect, places });
             }
         }
-        let knobs: Vec<_> = terms.iter().flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p))).collect();
+        let ranges = &model.ranges;
+        let knobs: Vec<_> = terms.iter().flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p, ranges))).collect();
         model.fit.rig = crate::fit::rig_with(rig, &knobs, &values)?;
         model.fit.at_bound = vec![false; knobs.len()];
         model.fit.normal = nalgebra::DMatrix::identity(knobs.len(), knobs.len());
@@ -449,7 +453,7 @@ fn causes_of(
     let held = |c: &Channel| c.held_out;
     for &t in &order {
         for (p, &place) in model.terms[t].places.iter().enumerate() {
-            for (knob, &value) in knobs_at(model.terms[t].effect, place).iter().zip(model.values(t, p)) {
+            for (knob, &value) in knobs_at(model.terms[t].effect, place, &model.ranges).iter().zip(model.values(t, p)) {
                 knob.write(&mut partial, value)?;
             }
         }

@@ -74,6 +74,9 @@ fn from_step(knob: &Knob, coordinate: f64) -> f64 {
 
 /// Step of the finite difference in internal coordinates: large enough to see past kinks, small enough to be local.
 fn difference(knob: &Knob, coordinate: f64) -> f64 {
+    if let Some(step) = knob.fixed_step {
+        return if knob.log { 0.05 } else { step / knob.scale };
+    }
     let step = if knob.log { 0.05 } else { 0.05 * coordinate.abs().max(0.2) };
     // Step inwards at the upper bound.
     if free_step(knob, coordinate + step) > knob.max { -step } else { step }
@@ -273,7 +276,11 @@ fn step(knobs: &[Knob], values: &[f64], matrix: &DMatrix<f64>, gradient: &DVecto
     for (i, &k) in free.iter().enumerate() {
         let coordinate = to_step(&knobs[k], values[k]);
         // A log step beyond a factor of e^1.5 or four natural sizes leaves the region where the slope means anything.
-        let limit = if knobs[k].log { 1.5 } else { 4.0 * coordinate.abs().max(1.0) };
+        let limit = if knobs[k].fixed_step.is_some() {
+            20.0
+        } else if knobs[k].log {
+            1.5
+        } else { 4.0 * coordinate.abs().max(1.0) };
         moved[k] = from_step(&knobs[k], coordinate + delta[i].clamp(-limit, limit));
     }
     Some(moved)

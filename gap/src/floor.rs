@@ -61,11 +61,23 @@ pub fn high_pass_sd(series: &[f32], present: &[bool]) -> Option<f64> {
     (values.len() >= 200).then(|| spread(&mut values) / 70.0_f64.sqrt())
 }
 
-/// Robust where the series has resolution enough for a median, plain where rounding makes most differences equal.
+/// Standard deviation without the few large values: those within four robust deviations count. The median alone would be
+/// too coarse for samples that are rounded to an eighth of their noise.
 fn spread(values: &mut [f64]) -> f64 {
-    let robust = robust_sd(values);
-    let plain = (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt();
-    if robust > 0.05 * plain { robust } else { plain }
+    let mut limit = 4.0 * robust_sd(values);
+    let mean_square = |limit: f64, values: &[f64]| {
+        let (mut sum, mut n) = (0.0, 0_usize);
+        for &v in values.iter().filter(|v| v.abs() <= limit) {
+            sum += v * v;
+            n += 1;
+        }
+        if n == 0 { 0.0 } else { (sum / n as f64).sqrt() }
+    };
+    if limit == 0.0 {
+        // More than half of the values are equal: rounding is coarser than the noise.
+        limit = f64::INFINITY;
+    }
+    mean_square(limit, values)
 }
 
 fn quiet_sd(track: &Track, series: &[f32]) -> Option<f64> {

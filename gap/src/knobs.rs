@@ -4,6 +4,7 @@ use host_sim::effects::{Effect, Place, Role, Scope};
 use host_sim::rig::Rig;
 
 use crate::Error;
+use crate::guess::{Ranges, fine_step};
 use crate::scene::Wanted;
 
 /// An effect of the catalogue.
@@ -24,6 +25,8 @@ pub struct Knob {
     pub scale: f64,
     /// Stepped multiplicatively.
     pub log: bool,
+    /// Step of finite differences in the unit of the value, where the scale says too little.
+    pub fixed_step: Option<f64>,
 }
 
 /// Where the number lives.
@@ -66,7 +69,7 @@ impl Knob {
         } else {
             (0.0, p.typical.abs().max(1.0e-3 * (p.max - p.min)))
         };
-        Self { target: Target::Effect { effect, place, index }, min: p.min, max: p.max, origin, scale, log: p.log }
+        Self { target: Target::Effect { effect, place, index }, min: p.min, max: p.max, origin, scale, log: p.log, fixed_step: None }
     }
 
     /// Write `value` into the rig.
@@ -139,8 +142,21 @@ pub fn places(effect: EffectRef, axes: usize) -> Vec<Place> {
 }
 
 /// Knobs of an effect at one place: sizes and shapes in the order of its parameters.
-pub fn knobs_at(effect: EffectRef, place: Place) -> Vec<Knob> {
-    (0..effect.info().parameters.len()).map(|index| Knob::effect(effect, place, index)).collect()
+pub fn knobs_at(effect: EffectRef, place: Place, ranges: &Ranges) -> Vec<Knob> {
+    let info = effect.info();
+    info.parameters
+        .iter()
+        .enumerate()
+        .map(|(index, p)| {
+            let mut knob = Knob::effect(effect, place, index);
+            if let Some(step) = fine_step(info.name, p.name, ranges) {
+                knob.origin = 0.0;
+                knob.scale = step;
+                knob.fixed_step = Some(step);
+            }
+            knob
+        })
+        .collect()
 }
 
 /// `true` when a parameter decides how large the effect is rather than how it is shaped.

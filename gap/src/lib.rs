@@ -14,6 +14,7 @@ pub mod energy;
 mod error;
 pub mod fit;
 pub mod floor;
+pub mod guess;
 pub mod intake;
 pub mod knobs;
 pub mod locate;
@@ -35,4 +36,59 @@ pub struct Options {
     pub exclude: Vec<String>,
     /// Show progress on standard error.
     pub progress: bool,
+}
+
+/// The verdict in one sentence, for the terminal and the head of the report.
+pub fn sentence(diagnosis: &Diagnosis) -> String {
+    use diagnosis::Verdict;
+    let gap = &diagnosis.gap;
+    let list = |names: Vec<String>| -> String {
+        match names.as_slice() {
+            [] => String::new(),
+            [one] => one.clone(),
+            [head @ .., last] => format!("{} and {last}", head.join(", ")),
+        }
+    };
+    let axes = |axes: &[usize]| -> String {
+        let word = if axes.len() == 1 { "axis" } else { "axes" };
+        format!("{word} {}", list(axes.iter().map(usize::to_string).collect()))
+    };
+    let causes = list(
+        diagnosis
+            .causes
+            .iter()
+            .map(|c| {
+                let mut name = format!("{} on {}", c.effect, axes(&c.axes));
+                if !c.indistinguishable_from.is_empty() {
+                    name += &format!(" (or {})", c.indistinguishable_from.join(" or "));
+                }
+                name
+            })
+            .collect(),
+    );
+    let closed = 100.0 * gap.closed;
+    match diagnosis.verdict {
+        Verdict::NoGap => format!(
+            "No gap beyond noise: the rig file predicts these recordings to {:.2} nm, and the noise is {:.2} nm.",
+            gap.before_nm, gap.floor_nm
+        ),
+        Verdict::Explained => format!(
+            "{causes}: the gap falls from {:.1} nm to {:.1} nm on recordings that were not fitted (noise {:.1} nm; {closed:.1} % closed).",
+            gap.before_nm, gap.after_nm, gap.floor_nm
+        ),
+        Verdict::PartlyExplained => format!(
+            "{causes} close {closed:.1} % of the gap ({:.1} nm to {:.1} nm, noise {:.1} nm); nothing in the catalogue accounts for the rest.",
+            gap.before_nm, gap.after_nm, gap.floor_nm
+        ),
+        Verdict::Unexplained => {
+            let place = diagnosis
+                .location
+                .first()
+                .map_or(String::new(), |l| format!(" It lies mostly in the {} of axis {}.", l.stage, l.axis));
+            format!(
+                "There is a gap of {:.1} nm (noise {:.1} nm) that nothing in the catalogue explains.{place}",
+                gap.before_nm, gap.floor_nm
+            )
+        }
+    }
 }

@@ -9,7 +9,7 @@
 use std::sync::Arc;
 
 use host_sim::rig::Rig;
-use host_sim::simulate::{Axes, Initial, Input, Memory, Output, simulate};
+use host_sim::{Axes, Initial, Input, Memory, Output, simulate};
 use rayon::prelude::*;
 
 use crate::Error;

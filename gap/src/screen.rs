@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::fit::Sensitivities;
+use crate::guess::{Ranges, settings};
 use crate::knobs::{EffectRef, axes_seen, places, sees_monitor};
 use crate::scene::{Channel, Scene, Stack, Wanted, dot};
 
@@ -47,60 +48,13 @@ pub struct Gain {
     pub start: Vec<f64>,
 }
 
-/// Settings to try for an effect.
-fn settings(effect: EffectRef) -> Vec<Vec<f64>> {
-    let parameters = effect.info().parameters;
-    let typical: Vec<f64> =
-        parameters.iter().map(|p| if p.role == Role::Size { p.zero } else { p.typical }).collect();
-    let mut settings: Vec<Vec<f64>> = Vec::new();
-    let mut push = |values: Vec<f64>| {
-        if !settings.contains(&values) {
-            settings.push(values);
-        }
-    };
-    for (index, p) in parameters.iter().enumerate() {
-        if p.role != Role::Size {
-            continue;
-        }
-        let scales: &[f64] = if effect.info().threshold { &[0.35, 1.0, 3.0] } else { &[1.0] };
-        let signs: &[f64] = if p.min < p.zero && effect.info().threshold { &[1.0, -1.0] } else { &[1.0] };
-        for &scale in scales {
-            for &sign in signs {
-                let mut values = typical.clone();
-                let size = if p.log && p.zero > 0.0 && p.zero.is_finite() {
-                    p.zero * (p.typical / p.zero).powf(scale * sign)
-                } else if p.log {
-                    p.typical * scale
-                } else {
-                    p.zero + (p.typical - p.zero) * scale * sign
-                };
-                values[index] = size.clamp(p.min, p.max);
-                // Other sizes stay at zero unless the effect needs them all to act: then the typical one serves.
-                push(values);
-            }
-        }
-        for (other, q) in parameters.iter().enumerate() {
-            if q.role == Role::Size {
-                continue;
-            }
-            for factor in [0.25, 4.0] {
-                let mut values = typical.clone();
-                values[index] = p.typical;
-                let shape = if q.log { q.typical * factor } else { q.typical + (factor - 1.0).signum() * q.typical.abs() * 0.5 };
-                values[other] = shape.clamp(q.min, q.max);
-                push(values);
-            }
-        }
-    }
-    settings
-}
-
 /// Simulate every effect of `effects` in `rig`, whose residuals are `base`.
 pub fn screen(
     scene: &Scene,
     rig: &Rig,
     base: &Stack,
     effects: &[EffectRef],
+    ranges: &Ranges,
     include: &(dyn Fn(&Channel) -> bool + Sync),
     tick: &(dyn Fn() + Sync),
 ) -> Result<Screen, Error> {
@@ -118,7 +72,7 @@ pub fn screen(
                 None => groups.push((vec![place], Wanted { axes, monitors: sees_monitor(effect) })),
             }
         }
-        for values in settings(effect) {
+        for values in settings(effect, ranges) {
             for (members, wanted) in &groups {
                 jobs.push((index, values.clone(), members.clone(), *wanted));
             }
@@ -179,10 +133,31 @@ impl Screen {
             .collect();
         let mut best: Vec<Vec<Gain>> = vec![Vec::new(); self.effects.len()];
         for (effect, gain) in tested.into_iter().flatten() {
+            // The two phases of a hum are independent: together they gain what each gains alone.
+            if self.effects[effect].info().name.ends_with("-hum") {
+                let frequency = gain.start.last().copied();
+                if let Some(known) =
+                    best[effect].iter_mut().find(|g| g.place == gain.place && g.start.last().copied() == frequency)
+                {
+                    known.gain += gain.gain;
+                    known.start[0] += gain.start[0];
+                    known.start[1] += gain.start[1];
+                } else {
+                    best[effect].push(gain);
+                }
+                continue;
+            }
             match best[effect].iter_mut().find(|g| g.place == gain.place) {
                 Some(known) if known.gain >= gain.gain => {}
                 Some(known) => *known = gain,
                 None => best[effect].push(gain),
+            }
+        }
+        for (gains, effect) in best.iter_mut().zip(&self.effects) {
+            if effect.info().name.ends_with("-hum") {
+                gains.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+                let mut seen: Vec<Place> = Vec::new();
+                gains.retain(|g| !seen.contains(&g.place) && { seen.push(g.place); true });
             }
         }
         best

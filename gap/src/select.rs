@@ -9,6 +9,7 @@ use host_sim::rig::Rig;
 
 use crate::Error;
 use crate::fit::{Effort, Fit, Sensitivities, cost, fit};
+use crate::guess::Ranges;
 use crate::knobs::{EffectRef, Knob, axes_seen, knobs_at};
 use crate::scene::{Channel, Scene, Stack, Wanted, dot};
 use crate::screen::{Gain, Screen, screen};
@@ -72,6 +73,8 @@ pub struct Model {
     pub terms: Vec<Term>,
     /// Their fit.
     pub fit: Fit,
+    /// What the session offers, for the scales of knobs.
+    pub ranges: Ranges,
 }
 
 impl Model {
@@ -104,7 +107,7 @@ impl Model {
                 if t == term && drop(place) {
                     continue;
                 }
-                for (knob, &value) in knobs_at(this.effect, place).iter().zip(self.values(t, p)) {
+                for (knob, &value) in knobs_at(this.effect, place, &self.ranges).iter().zip(self.values(t, p)) {
                     knob.write(&mut rig, value)?;
                 }
             }
@@ -129,6 +132,7 @@ pub struct Search<'a> {
     pub noise: f64,
     /// Every model that was fitted, best first.
     pub tried: Vec<Model>,
+    ranges: Ranges,
     include: &'a (dyn Fn(&Channel) -> bool + Sync),
     tick: &'a (dyn Fn() + Sync),
 }
@@ -139,14 +143,15 @@ impl<'a> Search<'a> {
         scene: &'a Scene,
         nominal: &'a Rig,
         effects: &[EffectRef],
+        ranges: &Ranges,
         include: &'a (dyn Fn(&Channel) -> bool + Sync),
         tick: &'a (dyn Fn() + Sync),
     ) -> Result<Self, Error> {
         let base = scene.residuals(&[(nominal, Wanted::ALL)], include)?.remove(0);
         let noise = noise_cost(scene, &base);
         let gap = cost(&base) - noise;
-        let screen = screen(scene, nominal, &base, effects, include, tick)?;
-        Ok(Self { scene, nominal, base, screen, gap, noise, tried: Vec::new(), include, tick })
+        let screen = screen(scene, nominal, &base, effects, ranges, include, tick)?;
+        Ok(Self { scene, nominal, base, screen, gap, noise, tried: Vec::new(), ranges: ranges.clone(), include, tick })
     }
 
     /// Find the model. `None` when no single effect is worth anything.
@@ -239,10 +244,10 @@ impl<'a> Search<'a> {
     /// Fit given terms from given values.
     pub fn fit_model(&self, terms: Vec<Term>, start: Vec<f64>, effort: Effort) -> Result<Model, Error> {
         let knobs: Vec<Knob> =
-            terms.iter().flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p))).collect();
+            terms.iter().flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p, &self.ranges))).collect();
         let fit = fit(self.scene, self.nominal, knobs, start, effort, self.include)?;
         (self.tick)();
-        Ok(Model { terms, fit })
+        Ok(Model { terms, fit, ranges: self.ranges.clone() })
     }
 
     fn remember(&mut self, model: Model) {
