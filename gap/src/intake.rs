@@ -108,7 +108,8 @@ fn track(rig: &Rig, file: &str, recording: &Recording) -> Result<Track, Error> {
         present[sample] = sample >= resume;
         previous = Some(sample);
     }
-    let settle = (recording.meta.settle_s * recording.meta.sample_rate_hz).ceil().max(0.0) as usize;
+    // The state of amplifier and stack before the first sample is not known: nothing is scored for a moment.
+    let settle = (recording.meta.settle_s.max(RECOVERY_S) * recording.meta.sample_rate_hz).ceil() as usize;
     let scored = present.iter().skip(settle).filter(|&&p| p).count();
     if scored < FEWEST_SAMPLES {
         return Err(bad(format!(
