@@ -35,8 +35,12 @@ pub fn gaps(scene: &Scene, stack: &Stack) -> Vec<AxisGapSize> {
     for (c, channel) in scene.channels.iter().enumerate() {
         let Some(row) = &stack[c] else { continue };
         let own = channel.excess(row);
-        let floor: f64 =
-            channel.unrepeatable.iter().enumerate().map(|(l, v)| v * channel.levels.range(l).len() as f64).sum();
+        let floor: f64 = channel
+            .unrepeatable
+            .iter()
+            .enumerate()
+            .map(|(l, v)| v * channel.levels.range(l).len() as f64)
+            .sum();
         let spread: f64 = channel
             .unrepeatable
             .iter()

@@ -39,7 +39,9 @@ pub fn standing(search: &Search, model: &Model, term: usize) -> Standing {
         if rival.terms.len() != model.terms.len() || !others.iter().all(|n| key.contains(n)) {
             continue;
         }
-        let Some(instead) = rival.terms.iter().find(|t| !others.contains(&t.name())) else { continue };
+        let Some(instead) = rival.terms.iter().find(|t| !others.contains(&t.name())) else {
+            continue;
+        };
         if instead.name() == name || seen.contains(&instead.name()) {
             continue;
         }
@@ -52,7 +54,10 @@ pub fn standing(search: &Search, model: &Model, term: usize) -> Standing {
     }
     rivals.sort_by(|a, b| a.0.total_cmp(&b.0));
     rivals.truncate(MOST_RIVALS);
-    Standing { confidence: 1.0 / weight, rivals: rivals.into_iter().map(|(_, n, m)| (n, m)).collect() }
+    Standing {
+        confidence: 1.0 / weight,
+        rivals: rivals.into_iter().map(|(_, n, m)| (n, m)).collect(),
+    }
 }
 
 /// One probe of the menu: what to tell a person, and the drive of the axes.
@@ -70,14 +75,17 @@ fn menu(rig: &Rig, axes_of_interest: &[usize]) -> Vec<Probe> {
     // Every probe first wipes the memory with one large excursion.
     let wiped = |body: Vec<f64>| -> Vec<f64> {
         let n = count(0.5);
-        let mut drive: Vec<f64> =
-            (0..n).map(|i| 0.6 * top * (std::f64::consts::PI * i as f64 / n as f64).sin()).collect();
+        let mut drive: Vec<f64> = (0..n)
+            .map(|i| 0.6 * top * (std::f64::consts::PI * i as f64 / n as f64).sin())
+            .collect();
         drive.extend(body);
         drive
     };
     let all = |body: &[f64]| vec![wiped(body.to_vec()); axes];
     let alone = |axis: usize, body: &[f64]| -> Vec<Vec<f64>> {
-        (0..axes).map(|a| if a == axis { wiped(body.to_vec()) } else { wiped(vec![0.0; body.len()]) }).collect()
+        (0..axes)
+            .map(|a| if a == axis { wiped(body.to_vec()) } else { wiped(vec![0.0; body.len()]) })
+            .collect()
     };
     let triangle = |hz: f64, volts: f64, cycles: f64| -> Vec<f64> {
         (0..count(cycles / hz))
@@ -93,7 +101,8 @@ fn menu(rig: &Rig, axes_of_interest: &[usize]) -> Vec<Probe> {
         (0..count(seconds))
             .map(|i| {
                 let t = i as f64 / rate_hz;
-                let phase = std::f64::consts::TAU * low * seconds / ratio * ((ratio * t / seconds).exp() - 1.0);
+                let phase = std::f64::consts::TAU * low * seconds / ratio
+                    * ((ratio * t / seconds).exp() - 1.0);
                 bias + volts * phase.sin()
             })
             .collect()
@@ -101,8 +110,9 @@ fn menu(rig: &Rig, axes_of_interest: &[usize]) -> Vec<Probe> {
     let hold = |volts: f64| -> Vec<f64> {
         (0..count(22.0)).map(|i| if (i as f64) < 12.0 * rate_hz { volts } else { 0.0 }).collect()
     };
-    let square: Vec<f64> =
-        (0..count(0.6)).map(|i| if (i as f64 * 10.0 / rate_hz).fract() < 0.5 { 0.65 * top } else { 0.0 }).collect();
+    let square: Vec<f64> = (0..count(0.6))
+        .map(|i| if (i as f64 * 10.0 / rate_hz).fract() < 0.5 { 0.65 * top } else { 0.0 })
+        .collect();
     let volts = |share: f64| format!("{:.3} V", share * top);
     let mut menu = vec![
         Probe {
@@ -144,12 +154,20 @@ fn menu(rig: &Rig, axes_of_interest: &[usize]) -> Vec<Probe> {
     ];
     for &axis in axes_of_interest {
         menu.push(Probe {
-            words: format!("1 Hz triangles of {} on axis {} alone, the others at 0 V", volts(0.6), axis + 1),
+            words: format!(
+                "1 Hz triangles of {} on axis {} alone, the others at 0 V",
+                volts(0.6),
+                axis + 1
+            ),
             rate_hz,
             drive_v: alone(axis, &triangle(1.0, 0.6 * top, 2.0)),
         });
         menu.push(Probe {
-            words: format!("a sweep from 1 Hz to {:.0} Hz on axis {} alone", 0.4 * rate_hz, axis + 1),
+            words: format!(
+                "a sweep from 1 Hz to {:.0} Hz on axis {} alone",
+                0.4 * rate_hz,
+                axis + 1
+            ),
             rate_hz,
             drive_v: alone(axis, &sweep(0.3 * top, 0.05 * top)),
         });
@@ -158,13 +176,18 @@ fn menu(rig: &Rig, axes_of_interest: &[usize]) -> Vec<Probe> {
 }
 
 /// The probe of the menu on which two fitted models differ most against the noise.
-pub fn next_experiment(scene: &Scene, a: (&str, &Model), b: (&str, &Model)) -> Option<NextExperiment> {
-    let axes: Vec<usize> = a.1.terms.iter().flat_map(|t| t.axes()).fold(Vec::new(), |mut seen, axis| {
-        if !seen.contains(&axis) {
-            seen.push(axis);
-        }
-        seen
-    });
+pub fn next_experiment(
+    scene: &Scene,
+    a: (&str, &Model),
+    b: (&str, &Model),
+) -> Option<NextExperiment> {
+    let axes: Vec<usize> =
+        a.1.terms.iter().flat_map(|t| t.axes()).fold(Vec::new(), |mut seen, axis| {
+            if !seen.contains(&axis) {
+                seen.push(axis);
+            }
+            seen
+        });
     let scored: Vec<(f64, String)> = menu(&a.1.fit.rig, &axes)
         .into_par_iter()
         .filter_map(|probe| {
@@ -200,7 +223,9 @@ pub fn next_experiment(scene: &Scene, a: (&str, &Model), b: (&str, &Model)) -> O
     let (score, words) = scored.into_iter().max_by(|p, q| p.0.total_cmp(&q.0))?;
     let separates = vec![a.0.to_string(), b.0.to_string()];
     let excitation = if score < 3.0 {
-        format!("none of the usual probes tells them apart (best: {words}; expected {score:.1} standard deviations)")
+        format!(
+            "none of the usual probes tells them apart (best: {words}; expected {score:.1} standard deviations)"
+        )
     } else {
         format!("{words} (expected to differ by {score:.0} standard deviations)")
     };

@@ -7,11 +7,13 @@ use recording::Session;
 
 use crate::accept::{self, AxisGapSize};
 use crate::ambiguity::{self, place_words};
-use crate::diagnosis::{Cause, CauseKind, Diagnosis, NextExperiment, Parameter, RecordingGap, Role, Verdict};
+use crate::diagnosis::{
+    Cause, CauseKind, Diagnosis, NextExperiment, Parameter, RecordingGap, Role, Verdict,
+};
 use crate::energy::Energies;
 use crate::fit::{Effort, cost};
-use crate::knobs::{EffectRef, knobs_at};
 use crate::guess::Ranges;
+use crate::knobs::{EffectRef, knobs_at};
 use crate::locate;
 use crate::picture;
 use crate::scene::{Channel, Scene, Stack, TOLERANCE, Wanted};
@@ -58,7 +60,9 @@ fn bar(options: &Options) -> ProgressBar {
         return ProgressBar::hidden();
     }
     let bar = ProgressBar::new_spinner();
-    if let Ok(style) = ProgressStyle::with_template("{spinner} {msg} ({pos} simulations, {elapsed})") {
+    if let Ok(style) =
+        ProgressStyle::with_template("{spinner} {msg} ({pos} simulations, {elapsed})")
+    {
         bar.set_style(style);
     }
     bar
@@ -98,9 +102,14 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
     if gaps.iter().any(|g| g.counts) {
         let mut keep: Vec<usize> = Vec::new();
         for look in 0..2 {
-            bar.set_message(if look == 0 { "screening the catalogue" } else { "looking again with other recordings" });
+            bar.set_message(if look == 0 {
+                "screening the catalogue"
+            } else {
+                "looking again with other recordings"
+            });
             let this = search(&scene, rig, &effects, &ranges, &bar, &gaps)?;
-            let second = this.as_ref().map_or(look == 0, |f| f.missed.len() > keep.len() && look == 0);
+            let second =
+                this.as_ref().map_or(look == 0, |f| f.missed.len() > keep.len() && look == 0);
             let missed = match &this {
                 Some(f) => f.missed.clone(),
                 // Nothing found in the fitted ones: the gap may be in the others alone.
@@ -116,7 +125,8 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
     }
 
     bar.set_message("writing the answer");
-    let outcome = answer(rig, &scene, &nominal, &raw_before, &cuts, &electrical, &gaps, found, &mut notes)?;
+    let outcome =
+        answer(rig, &scene, &nominal, &raw_before, &cuts, &electrical, &gaps, found, &mut notes)?;
     bar.finish_and_clear();
     Ok(outcome)
 }
@@ -164,7 +174,11 @@ fn search(
     for term in 0..model.terms.len() {
         let standing = ambiguity::standing(&search, &model, term);
         if let (None, Some((name, rival))) = (&next, standing.rivals.first()) {
-            next = ambiguity::next_experiment(scene, (model.terms[term].name(), &model), (name, rival));
+            next = ambiguity::next_experiment(
+                scene,
+                (model.terms[term].name(), &model),
+                (name, rival),
+            );
         }
         rivals.push(standing.rivals.iter().map(|(n, _)| n.to_string()).collect());
         confidence.push(standing.confidence);
@@ -175,7 +189,10 @@ fn search(
     let all = |_: &Channel| true;
     let whole = {
         let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(&model).into_iter().unzip();
-        let knobs = terms.iter().flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p, ranges))).collect();
+        let knobs = terms
+            .iter()
+            .flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p, ranges)))
+            .collect();
         let effort = Effort { iterations: 4, ..Effort::default() };
         let fit = crate::fit::fit(scene, rig, knobs, start.concat(), effort, &all)?;
         Model { terms, fit, ranges: ranges.clone() }
@@ -184,7 +201,12 @@ fn search(
 }
 
 /// Held-out recordings whose gap the model leaves open: worth a look with these recordings among the fitted ones.
-fn missed(scene: &Scene, rig: &Rig, model: &Model, _gaps: &[AxisGapSize]) -> Result<Vec<usize>, Error> {
+fn missed(
+    scene: &Scene,
+    rig: &Rig,
+    model: &Model,
+    _gaps: &[AxisGapSize],
+) -> Result<Vec<usize>, Error> {
     let held = |c: &Channel| c.held_out;
     let mut stacks = scene.residuals(&[(rig, Wanted::ALL), (&model.fit.rig, Wanted::ALL)], held)?;
     let after = stacks.remove(1);
@@ -215,7 +237,9 @@ fn held_out_with_gap(scene: &Scene, nominal: &Stack) -> Vec<usize> {
         .enumerate()
         .filter(|(c, channel)| {
             channel.held_out
-                && nominal[*c].as_ref().is_some_and(|row| channel.excess(row) > 0.1 * row.len() as f64)
+                && nominal[*c]
+                    .as_ref()
+                    .is_some_and(|row| channel.excess(row) > 0.1 * row.len() as f64)
         })
         .map(|(_, channel)| channel.track)
         .collect();
@@ -252,8 +276,12 @@ fn answer(
         // Causes on axes that stay mostly open are proxies of something that is not in the catalogue.
         let trusted: Vec<bool> =
             by_axis.iter().map(|closed| closed.is_none_or(accept::names)).collect();
-        let abstained: Vec<String> =
-            trusted.iter().enumerate().filter(|(_, t)| !**t).map(|(a, _)| (a + 1).to_string()).collect();
+        let abstained: Vec<String> = trusted
+            .iter()
+            .enumerate()
+            .filter(|(_, t)| !**t)
+            .map(|(a, _)| (a + 1).to_string())
+            .collect();
         if !abstained.is_empty() {
             notes.push(format!(
                 "On axis {} the best effects of the catalogue close too little to be named: something else is at work there.",
@@ -294,7 +322,8 @@ fn answer(
     }
     let white_after = scene.residuals(&[(&final_rig, Wanted::ALL)], everything)?.remove(0);
     let left = accept::gaps(scene, &white_after);
-    let verdict = if any_gap { accept::verdict(gap.closed, causes.len(), &left) } else { Verdict::NoGap };
+    let verdict =
+        if any_gap { accept::verdict(gap.closed, causes.len(), &left) } else { Verdict::NoGap };
     let location = locate::locations(scene, cuts, &raw_after, electrical, &causes, &claimed);
     let recordings = (0..scene.tracks.len())
         .map(|track| {
@@ -308,10 +337,20 @@ fn answer(
             RecordingGap { file: scene.tracks[track].file.clone(), role, before_nm, after_nm }
         })
         .collect();
-    let next_experiment =
-        if causes.iter().any(|c| !c.indistinguishable_from.is_empty()) { found.as_ref().and_then(|f| f.next.clone()) } else { None };
-    let diagnosis =
-        Diagnosis { verdict, gap, location, causes, next_experiment, recordings, notes: std::mem::take(notes) };
+    let next_experiment = if causes.iter().any(|c| !c.indistinguishable_from.is_empty()) {
+        found.as_ref().and_then(|f| f.next.clone())
+    } else {
+        None
+    };
+    let diagnosis = Diagnosis {
+        verdict,
+        gap,
+        location,
+        causes,
+        next_experiment,
+        recordings,
+        notes: std::mem::take(notes),
+    };
     let cuts_after = locate::cuts(scene, &raw_after, &white_after);
     let tried = found.as_ref().map(|f| f.tried.clone()).unwrap_or_default();
     let _ = nominal_white;
@@ -356,7 +395,10 @@ fn restrict(rig: &Rig, found: &mut Found, trusted: &[bool]) -> Result<(), Error>
             }
         }
         let ranges = &model.ranges;
-        let knobs: Vec<_> = terms.iter().flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p, ranges))).collect();
+        let knobs: Vec<_> = terms
+            .iter()
+            .flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p, ranges)))
+            .collect();
         model.fit.rig = crate::fit::rig_with(rig, &knobs, &values)?;
         model.fit.at_bound = vec![false; knobs.len()];
         model.fit.normal = nalgebra::DMatrix::identity(knobs.len(), knobs.len());
@@ -411,22 +453,30 @@ fn causes_of(
         let mut parameters = std::collections::BTreeMap::new();
         let agree = (0..width).all(|k| {
             let values: Vec<f64> = (0..term.places.len()).map(|p| whole.values(t, p)[k]).collect();
-            let (low, high) = values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
+            let (low, high) = values
+                .iter()
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
             high - low <= 0.1 * high.abs().max(low.abs())
         });
         for (k, p) in info.parameters.iter().enumerate() {
             if agree {
                 let n = term.places.len() as f64;
                 let value = (0..term.places.len()).map(|q| whole.values(t, q)[k]).sum::<f64>() / n;
-                let sd = (0..term.places.len()).map(|q| deviations[at + q * width + k]).sum::<f64>() / n;
+                let sd =
+                    (0..term.places.len()).map(|q| deviations[at + q * width + k]).sum::<f64>() / n;
                 parameters.insert(p.name.to_string(), parameter(value, sd, p.unit));
             } else {
                 for (q, place) in term.places.iter().enumerate() {
                     let name = match *place {
                         host_sim::effects::Place::Axis(a) => format!("{}_{}", p.name, a + 1),
-                        host_sim::effects::Place::Pair { on, from } => format!("{}_{}_{}", p.name, on + 1, from + 1),
+                        host_sim::effects::Place::Pair { on, from } => {
+                            format!("{}_{}_{}", p.name, on + 1, from + 1)
+                        }
                     };
-                    parameters.insert(name, parameter(whole.values(t, q)[k], deviations[at + q * width + k], p.unit));
+                    parameters.insert(
+                        name,
+                        parameter(whole.values(t, q)[k], deviations[at + q * width + k], p.unit),
+                    );
                 }
             }
         }
@@ -453,14 +503,17 @@ fn causes_of(
     let held = |c: &Channel| c.held_out;
     for &t in &order {
         for (p, &place) in model.terms[t].places.iter().enumerate() {
-            for (knob, &value) in knobs_at(model.terms[t].effect, place, &model.ranges).iter().zip(model.values(t, p)) {
+            for (knob, &value) in
+                knobs_at(model.terms[t].effect, place, &model.ranges).iter().zip(model.values(t, p))
+            {
                 knob.write(&mut partial, value)?;
             }
         }
         let raw = scene.raw(&partial, held)?;
         let nm = Energies::new(scene, raw_before, &raw, &held).gap(axes).after_nm;
         let words: Vec<String> = model.terms[t].places.iter().map(|&p| place_words(p)).collect();
-        let place = if words.len() > 3 { format!("{} places", words.len()) } else { words.join(", ") };
+        let place =
+            if words.len() > 3 { format!("{} places", words.len()) } else { words.join(", ") };
         stairs.push((format!("{} ({place})", model.terms[t].name()), nm));
     }
     Ok((causes, claimed, stairs))
@@ -485,22 +538,29 @@ fn integrity_notes(scene: &Scene, rig: &Rig) -> Vec<String> {
     let mut notes = Vec::new();
     for track in scene.tracks.iter() {
         if track.lost > 0 {
-            notes.push(format!("{}: {} ticks lost; the drive was held over them and nothing scored there.", track.file, track.lost));
+            notes.push(format!(
+                "{}: {} ticks lost; the drive was held over them and nothing scored there.",
+                track.file, track.lost
+            ));
         }
         if track.closed_loop {
-            notes.push(format!("{}: recorded with a setpoint; if the loop was closed, its noise is in the drive.", track.file));
+            notes.push(format!(
+                "{}: recorded with a setpoint; if the loop was closed, its noise is in the drive.",
+                track.file
+            ));
         }
     }
     for (axis, noise) in scene.position_noise.iter().enumerate() {
         let stated = rig.axes[axis].sensor.noise_rms_m * 1.0e6;
         match noise {
             None => notes.push(format!("Axis {} was not measured.", axis + 1)),
-            Some(n) if stated > 0.0 && (n.sigma > 2.0 * stated || n.sigma < 0.5 * stated) => notes.push(format!(
-                "Axis {}: the gauge noise measured is {:.2} nm, the rig file states {:.2} nm.",
-                axis + 1,
-                n.sigma * 1.0e3,
-                stated * 1.0e3
-            )),
+            Some(n) if stated > 0.0 && (n.sigma > 2.0 * stated || n.sigma < 0.5 * stated) => notes
+                .push(format!(
+                    "Axis {}: the gauge noise measured is {:.2} nm, the rig file states {:.2} nm.",
+                    axis + 1,
+                    n.sigma * 1.0e3,
+                    stated * 1.0e3
+                )),
             Some(_) => {}
         }
     }

@@ -31,7 +31,12 @@ pub struct Energies {
 impl Energies {
     /// From raw residual rows as [`Scene::raw`] gives them. Where the memory of the stack is unknown, whitened rows count
     /// instead: a constant that nobody could know is not part of the gap.
-    pub fn new(scene: &Scene, before: &Stack, after: &Stack, include: &dyn Fn(&Channel) -> bool) -> Self {
+    pub fn new(
+        scene: &Scene,
+        before: &Stack,
+        after: &Stack,
+        include: &dyn Fn(&Channel) -> bool,
+    ) -> Self {
         let mut blocks = Vec::new();
         for (c, channel) in scene.channels.iter().enumerate() {
             if channel.kind != Kind::Position || !include(channel) {
@@ -48,7 +53,8 @@ impl Energies {
                 / channel.range.len() as f64;
             let length = b.len().div_ceil(BLOCKS_PER_CHANNEL).max(1);
             for (b, a) in b.chunks(length).zip(a.chunks(length)) {
-                let energy = |row: &[f32]| nm * row.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>();
+                let energy =
+                    |row: &[f32]| nm * row.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>();
                 blocks.push(Block {
                     axis: channel.axis,
                     track: channel.track,
@@ -63,7 +69,8 @@ impl Energies {
     }
 
     fn sums<'b>(blocks: impl Iterator<Item = &'b Block>) -> Block {
-        let mut sum = Block { axis: 0, track: 0, before: 0.0, after: 0.0, floor: 0.0, samples: 0.0 };
+        let mut sum =
+            Block { axis: 0, track: 0, before: 0.0, after: 0.0, floor: 0.0, samples: 0.0 };
         for b in blocks {
             sum.before += b.before;
             sum.after += b.after;
@@ -87,12 +94,15 @@ impl Energies {
         let mut rng = StdRng::seed_from_u64(0x6761_7000);
         let mut draws: Vec<f64> = (0..DRAWS)
             .map(|_| {
-                let drawn = (0..self.blocks.len()).map(|_| &self.blocks[rng.random_range(0..self.blocks.len())]);
+                let drawn = (0..self.blocks.len())
+                    .map(|_| &self.blocks[rng.random_range(0..self.blocks.len())]);
                 closed(&Self::sums(drawn))
             })
             .collect();
         draws.sort_by(f64::total_cmp);
-        let at = |q: f64| draws.get(((draws.len() as f64 - 1.0) * q).round() as usize).copied().unwrap_or(0.0);
+        let at = |q: f64| {
+            draws.get(((draws.len() as f64 - 1.0) * q).round() as usize).copied().unwrap_or(0.0)
+        };
         Gap {
             before_nm: (sum.before / n).sqrt(),
             after_nm: (sum.after / n).sqrt(),

@@ -87,7 +87,10 @@ fn groups(knobs: &[Knob], rig: &Rig) -> Vec<(Vec<usize>, Wanted)> {
     let mut groups: Vec<(Vec<usize>, Wanted)> = Vec::new();
     for (index, knob) in knobs.iter().enumerate() {
         let wanted = knob.wanted(rig);
-        match groups.iter_mut().find(|(_, w)| w.axes & wanted.axes == 0 && w.monitors == wanted.monitors) {
+        match groups
+            .iter_mut()
+            .find(|(_, w)| w.axes & wanted.axes == 0 && w.monitors == wanted.monitors)
+        {
             Some((members, w)) => {
                 members.push(index);
                 w.axes |= wanted.axes;
@@ -148,7 +151,8 @@ impl Sensitivities {
             rigs.push(rig_with(base, knobs, &moved)?);
         }
         let wanted: Vec<Wanted> = knobs.iter().map(|k| k.wanted(base)).collect();
-        let jobs: Vec<(&Rig, Wanted)> = rigs.iter().zip(&groups).map(|(rig, (_, w))| (rig, *w)).collect();
+        let jobs: Vec<(&Rig, Wanted)> =
+            rigs.iter().zip(&groups).map(|(rig, (_, w))| (rig, *w)).collect();
         let mut stacks = scene.residuals(&jobs, include)?;
         for (moved, (members, _)) in stacks.iter_mut().zip(&groups) {
             for (c, row) in moved.iter_mut().enumerate() {
@@ -201,7 +205,8 @@ pub fn fit(
     effort: Effort,
     include: &(dyn Fn(&Channel) -> bool + Sync),
 ) -> Result<Fit, Error> {
-    let mut values: Vec<f64> = start.iter().zip(&knobs).map(|(v, k)| v.clamp(k.min, k.max)).collect();
+    let mut values: Vec<f64> =
+        start.iter().zip(&knobs).map(|(v, k)| v.clamp(k.min, k.max)).collect();
     let mut rig = rig_with(base, &knobs, &values)?;
     let mut stack = scene.residuals(&[(&rig, Wanted::ALL)], include)?.remove(0);
     let mut best = cost(&stack);
@@ -249,7 +254,13 @@ pub fn fit(
 }
 
 /// One damped step, knobs at a bound that want to leave it frozen.
-fn step(knobs: &[Knob], values: &[f64], matrix: &DMatrix<f64>, gradient: &DVector<f64>, lambda: f64) -> Option<Vec<f64>> {
+fn step(
+    knobs: &[Knob],
+    values: &[f64],
+    matrix: &DMatrix<f64>,
+    gradient: &DVector<f64>,
+    lambda: f64,
+) -> Option<Vec<f64>> {
     let free: Vec<usize> = (0..knobs.len())
         .filter(|&k| {
             let down = gradient[k] > 0.0;
@@ -280,7 +291,9 @@ fn step(knobs: &[Knob], values: &[f64], matrix: &DMatrix<f64>, gradient: &DVecto
             20.0
         } else if knobs[k].log {
             1.5
-        } else { 4.0 * coordinate.abs().max(1.0) };
+        } else {
+            4.0 * coordinate.abs().max(1.0)
+        };
         moved[k] = from_step(&knobs[k], coordinate + delta[i].clamp(-limit, limit));
     }
     Some(moved)

@@ -88,7 +88,8 @@ fn quiet_sd(track: &Track, series: &[f32]) -> Option<f64> {
         let moved = track.drive_v.iter().any(|d| d[i] != d[i - 1]);
         still = if moved { 0 } else { still + 1 };
         if still > need && track.present[i] && track.present[i - 1] {
-            differences.push((f64::from(series[i]) - f64::from(series[i - 1])) / std::f64::consts::SQRT_2);
+            differences
+                .push((f64::from(series[i]) - f64::from(series[i - 1])) / std::f64::consts::SQRT_2);
         }
     }
     (differences.len() >= 200).then(|| spread(&mut differences))
@@ -103,7 +104,8 @@ pub fn unrepeated(track: &Track, series: &[f32]) -> Option<Vec<f32>> {
     }
     // The first fifth of the earlier period may still hold the transient of the start.
     let skip = if n < 3 * period { period / 5 } else { 0 };
-    let (later, earlier) = (&series[n - period + skip..], &series[n - 2 * period + skip..n - period]);
+    let (later, earlier) =
+        (&series[n - period + skip..], &series[n - 2 * period + skip..n - period]);
     let half = std::f32::consts::FRAC_1_SQRT_2;
     Some(later.iter().zip(earlier).map(|(&a, &b)| (a - b) * half).collect())
 }
@@ -153,9 +155,17 @@ pub fn noise(tracks: &[Track], axis: usize, kind: Kind, stated: f64) -> Option<N
 }
 
 /// Variance that does not repeat, level by level, in units of `sigma` squared; at least one.
-pub fn unrepeatable_levels(track: &Track, axis: usize, kind: Kind, sigma: f64, levels: &Levels) -> Vec<f64> {
+pub fn unrepeatable_levels(
+    track: &Track,
+    axis: usize,
+    kind: Kind,
+    sigma: f64,
+    levels: &Levels,
+) -> Vec<f64> {
     let mut floor = vec![1.0; levels.count()];
-    let Some(difference) = column(track, axis, kind).and_then(|s| unrepeated(track, s)) else { return floor };
+    let Some(difference) = column(track, axis, kind).and_then(|s| unrepeated(track, s)) else {
+        return floor;
+    };
     let own = Levels::new(difference.len());
     let coefficients = transform(&difference, &own);
     for level in 0..levels.count().min(own.count()) {

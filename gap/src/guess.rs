@@ -49,7 +49,11 @@ pub fn ranges(scene: &Scene, rig: &Rig, raw: &Stack) -> Result<Ranges, Error> {
             for &v in &column[track.settle..] {
                 drive = (drive.0.min(v), drive.1.max(v));
             }
-            for (&p, _) in position[track.settle..].iter().zip(&track.present[track.settle..]).filter(|(_, p)| **p) {
+            for (&p, _) in position[track.settle..]
+                .iter()
+                .zip(&track.present[track.settle..])
+                .filter(|(_, p)| **p)
+            {
                 travel = (travel.0.min(f64::from(p) * 1.0e-6), travel.1.max(f64::from(p) * 1.0e-6));
             }
             let stage = &rig.axes[axis];
@@ -106,7 +110,9 @@ pub fn spectrum(row: &[f32], rate_hz: f64) -> (f64, Vec<f64>) {
 fn lines(scene: &Scene, raw: &Stack, kind: Kind) -> Vec<f64> {
     let mut found: Vec<(f64, f64)> = Vec::new();
     for (c, channel) in scene.channels.iter().enumerate() {
-        let Some(row) = raw[c].as_ref().filter(|r| channel.kind == kind && r.len() >= 512) else { continue };
+        let Some(row) = raw[c].as_ref().filter(|r| channel.kind == kind && r.len() >= 512) else {
+            continue;
+        };
         let rate = scene.tracks[channel.track].rate_hz;
         let (step, power) = spectrum(row, rate);
         for k in 4..power.len().saturating_sub(40) {
@@ -120,8 +126,13 @@ fn lines(scene: &Scene, raw: &Stack, kind: Kind) -> Vec<f64> {
             // Of 10^5 bins of pure noise none stands out by a factor of forty over the median.
             if power[k] > 40.0 * median.max(1.0e-30) {
                 // Parabola through the logarithms of three bins.
-                let (a, b, c) = (power[k - 1].max(1e-300).ln(), power[k].ln(), power[k + 1].max(1e-300).ln());
-                let shift = if (a - 2.0 * b + c).abs() > 1.0e-9 { 0.5 * (a - c) / (a - 2.0 * b + c) } else { 0.0 };
+                let (a, b, c) =
+                    (power[k - 1].max(1e-300).ln(), power[k].ln(), power[k + 1].max(1e-300).ln());
+                let shift = if (a - 2.0 * b + c).abs() > 1.0e-9 {
+                    0.5 * (a - c) / (a - 2.0 * b + c)
+                } else {
+                    0.0
+                };
                 let hz = (k as f64 + shift.clamp(-0.5, 0.5)) * step;
                 // Every recording votes once a line: a line of the drive shows in one kind of recording only.
                 match found.iter_mut().find(|(f, _)| (*f - hz).abs() < 0.6) {
@@ -189,7 +200,11 @@ fn coherent(scene: &Scene, raw: &Stack, kind: Kind, hz: f64) -> f64 {
 fn resonance(scene: &Scene, raw: &Stack) -> Option<f64> {
     let mut bins: std::collections::BTreeMap<i64, (f64, f64)> = std::collections::BTreeMap::new();
     for (c, channel) in scene.channels.iter().enumerate() {
-        let Some(row) = raw[c].as_ref().filter(|r| channel.kind == Kind::Position && r.len() >= 512) else { continue };
+        let Some(row) =
+            raw[c].as_ref().filter(|r| channel.kind == Kind::Position && r.len() >= 512)
+        else {
+            continue;
+        };
         let (step, power) = spectrum(row, scene.tracks[channel.track].rate_hz);
         for (k, &p) in power.iter().enumerate().skip(1) {
             let hz = k as f64 * step;
@@ -244,7 +259,10 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
         }
         "preload-loss" => {
             for share in [0.08, 0.2, 0.35, 0.55, 0.8] {
-                wanted.push(with(&[("lost_share", typical("lost_share")), ("contact_m", near + share * span)]));
+                wanted.push(with(&[
+                    ("lost_share", typical("lost_share")),
+                    ("contact_m", near + share * span),
+                ]));
             }
         }
         "stiffness-hardening" => {
@@ -252,7 +270,10 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
                 wanted.push(with(&[(name, typical(name))]));
             }
             for share in [0.3, 0.6, 0.85] {
-                wanted.push(with(&[("extra_n_per_m", typical("extra_n_per_m")), ("kink_m", near + share * span)]));
+                wanted.push(with(&[
+                    ("extra_n_per_m", typical("extra_n_per_m")),
+                    ("kink_m", near + share * span),
+                ]));
             }
         }
         "second-mass" => {
@@ -263,7 +284,11 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             }
             for f in hz.into_iter().filter(|f| *f < 0.5 * ranges.rate_hz) {
                 wanted.push(with(&[("mass_kg", mass), ("frequency_hz", f)]));
-                wanted.push(with(&[("mass_kg", mass), ("frequency_hz", f), ("damping_ratio", 0.1)]));
+                wanted.push(with(&[
+                    ("mass_kg", mass),
+                    ("frequency_hz", f),
+                    ("damping_ratio", 0.1),
+                ]));
             }
         }
         "sensor-hum" | "amplifier-hum" => {
@@ -282,7 +307,10 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             wanted.push(with(&[("rate_m_per_s", typical("rate_m_per_s"))]));
             for seconds in [0.1, 0.5, 2.0] {
                 let settling_s = (seconds * ranges.longest_s).max(1.0);
-                wanted.push(with(&[("settling_m", typical("settling_m")), ("settling_s", settling_s)]));
+                wanted.push(with(&[
+                    ("settling_m", typical("settling_m")),
+                    ("settling_s", settling_s),
+                ]));
             }
         }
         "creep" => {
@@ -292,7 +320,10 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
         }
         "viscoelasticity" => {
             for seconds in [0.003, 0.03, 0.3, 3.0] {
-                wanted.push(with(&[("branch_n_per_m", typical("branch_n_per_m")), ("time_constant_s", seconds)]));
+                wanted.push(with(&[
+                    ("branch_n_per_m", typical("branch_n_per_m")),
+                    ("time_constant_s", seconds),
+                ]));
             }
             wanted.push(with(&[
                 ("branch_n_per_m", typical("branch_n_per_m")),
@@ -303,7 +334,10 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
         }
         "friction" => {
             for metres in [0.003, 0.03, 0.2] {
-                wanted.push(with(&[("coulomb_n", typical("coulomb_n")), ("presliding_m", metres * span)]));
+                wanted.push(with(&[
+                    ("coulomb_n", typical("coulomb_n")),
+                    ("presliding_m", metres * span),
+                ]));
             }
         }
         _ => {

@@ -109,7 +109,8 @@ fn track(rig: &Rig, file: &str, recording: &Recording) -> Result<Track, Error> {
         previous = Some(sample);
     }
     // The state of amplifier and stack before the first sample is not known: nothing is scored for a moment.
-    let settle = (recording.meta.settle_s.max(RECOVERY_S) * recording.meta.sample_rate_hz).ceil() as usize;
+    let settle =
+        (recording.meta.settle_s.max(RECOVERY_S) * recording.meta.sample_rate_hz).ceil() as usize;
     let scored = present.iter().skip(settle).filter(|&&p| p).count();
     if scored < FEWEST_SAMPLES {
         return Err(bad(format!(

@@ -69,7 +69,15 @@ impl Knob {
         } else {
             (0.0, p.typical.abs().max(1.0e-3 * (p.max - p.min)))
         };
-        Self { target: Target::Effect { effect, place, index }, min: p.min, max: p.max, origin, scale, log: p.log, fixed_step: None }
+        Self {
+            target: Target::Effect { effect, place, index },
+            min: p.min,
+            max: p.max,
+            origin,
+            scale,
+            log: p.log,
+            fixed_step: None,
+        }
     }
 
     /// Write `value` into the rig.
@@ -78,7 +86,8 @@ impl Knob {
         match &self.target {
             Target::Effect { effect, place, index } => {
                 let info = effect.info();
-                rig.set(info.name, *place, info.parameters[*index].name, value).map_err(|e| Error::Rig(e.to_string()))
+                rig.set(info.name, *place, info.parameters[*index].name, value)
+                    .map_err(|e| Error::Rig(e.to_string()))
             }
             Target::Nominal { axis, write, element, .. } => {
                 write(rig, *axis, *element, value);
@@ -94,7 +103,9 @@ impl Knob {
                 let monitors = sees_monitor(*effect);
                 Wanted { axes: axes_seen(rig, *effect, *place), monitors }
             }
-            Target::Nominal { axis, monitors, .. } => Wanted { axes: spread_by_output(rig, 1 << axis), monitors: *monitors },
+            Target::Nominal { axis, monitors, .. } => {
+                Wanted { axes: spread_by_output(rig, 1 << axis), monitors: *monitors }
+            }
         }
     }
 }
@@ -109,11 +120,17 @@ pub fn sees_monitor(effect: EffectRef) -> bool {
 pub fn axes_seen(rig: &Rig, effect: EffectRef, place: Place) -> u32 {
     let own = match place {
         Place::Axis(axis) => 1 << axis,
-        Place::Pair { on, from } if effect.info().scope == Scope::ReciprocalPair => 1 << on | 1 << from,
+        Place::Pair { on, from } if effect.info().scope == Scope::ReciprocalPair => {
+            1 << on | 1 << from
+        }
         Place::Pair { on, .. } => 1 << on,
     };
     // A gauge effect stays on its own gauge; everything before it is spread by the sensor geometry.
-    if effect.info().stage == host_sim::effects::Stage::Sensor { own } else { spread_by_output(rig, own) }
+    if effect.info().stage == host_sim::effects::Stage::Sensor {
+        own
+    } else {
+        spread_by_output(rig, own)
+    }
 }
 
 /// Gauges that see the given axes through the sensor geometry.
@@ -133,11 +150,13 @@ pub fn places(effect: EffectRef, axes: usize) -> Vec<Place> {
     match effect.info().scope {
         Scope::Axis => (0..axes).map(Place::Axis).collect(),
         Scope::Pair => (0..axes)
-            .flat_map(|on| (0..axes).filter(move |&from| from != on).map(move |from| Place::Pair { on, from }))
+            .flat_map(|on| {
+                (0..axes).filter(move |&from| from != on).map(move |from| Place::Pair { on, from })
+            })
             .collect(),
-        Scope::ReciprocalPair => {
-            (0..axes).flat_map(|on| (on + 1..axes).map(move |from| Place::Pair { on, from })).collect()
-        }
+        Scope::ReciprocalPair => (0..axes)
+            .flat_map(|on| (on + 1..axes).map(move |from| Place::Pair { on, from }))
+            .collect(),
     }
 }
 

@@ -81,10 +81,9 @@ pub fn sentence(diagnosis: &Diagnosis) -> String {
             gap.before_nm, gap.after_nm, gap.floor_nm
         ),
         Verdict::Unexplained => {
-            let place = diagnosis
-                .location
-                .first()
-                .map_or(String::new(), |l| format!(" It lies mostly in the {} of axis {}.", l.stage, l.axis));
+            let place = diagnosis.location.first().map_or(String::new(), |l| {
+                format!(" It lies mostly in the {} of axis {}.", l.stage, l.axis)
+            });
             format!(
                 "There is a gap of {:.1} nm (noise {:.1} nm) that nothing in the catalogue explains.{place}",
                 gap.before_nm, gap.floor_nm

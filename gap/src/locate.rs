@@ -40,12 +40,16 @@ pub fn cuts(scene: &Scene, raw: &Stack, white: &Stack) -> Cuts {
         .fold((0.0_f64, 0.0_f64), |(low, high), &v| (low.min(v), high.max(v)));
     let bin = ((span.1 - span.0) / 10.0).max(1.0e-9);
     for (c, channel) in scene.channels.iter().enumerate() {
-        let (Kind::Position, Some(raw), Some(white)) = (channel.kind, &raw[c], &white[c]) else { continue };
+        let (Kind::Position, Some(raw), Some(white)) = (channel.kind, &raw[c], &white[c]) else {
+            continue;
+        };
         let track = &scene.tracks[channel.track];
         let nm = (channel.sigma * 1.0e3).powi(2);
         for (level, power) in channel.band_power(white).iter().enumerate() {
-            let energy =
-                nm * ((power - channel.unrepeatable[level]) * channel.levels.range(level).len() as f64).max(0.0);
+            let energy = nm
+                * ((power - channel.unrepeatable[level])
+                    * channel.levels.range(level).len() as f64)
+                    .max(0.0);
             cuts.axis[channel.axis] += energy;
             let hz = centre_hz(level, &channel.levels, track.rate_hz);
             let key = if hz > 0.0 { (hz.log2()).round() as i64 } else { i64::MIN };
@@ -56,18 +60,26 @@ pub fn cuts(scene: &Scene, raw: &Stack, white: &Stack) -> Cuts {
         for (k, i) in channel.range.clone().enumerate() {
             let here = f64::from(raw[k]).powi(2) * nm;
             let slot = ((drive[i] - span.0) / bin).floor() as i64;
-            let cell = &mut levels.entry(slot).or_insert_with(|| vec![(0.0, 0.0); axes])[channel.axis];
+            let cell =
+                &mut levels.entry(slot).or_insert_with(|| vec![(0.0, 0.0); axes])[channel.axis];
             cell.0 += here;
             cell.1 += 1.0;
             let moved = if i == 0 { 0.0 } else { drive[i] - drive[i - 1] };
-            let way = if moved > 0.0 { 0 } else if moved < 0.0 { 1 } else { 2 };
+            let way = if moved > 0.0 {
+                0
+            } else if moved < 0.0 {
+                1
+            } else {
+                2
+            };
             direction[way].0 += here;
             direction[way].1 += 1.0;
             if moved.abs() > 0.5 * bin {
                 last_jump = Some(i);
             }
             if let Some(jump) = last_jump {
-                let decade = (((i - jump).max(1) as f64 / track.rate_hz).log10() * 2.0).floor() as i64;
+                let decade =
+                    (((i - jump).max(1) as f64 / track.rate_hz).log10() * 2.0).floor() as i64;
                 let cell = since.entry(decade).or_insert((0.0, 0.0));
                 cell.0 += here;
                 cell.1 += 1.0;
@@ -81,8 +93,10 @@ pub fn cuts(scene: &Scene, raw: &Stack, white: &Stack) -> Cuts {
         .map(|(slot, cells)| (span.0 + slot as f64 * bin, cells.into_iter().map(rms).collect()))
         .collect();
     cuts.direction = direction.map(rms);
-    cuts.since_step =
-        since.into_iter().map(|(decade, cell)| (10.0_f64.powf(decade as f64 / 2.0), rms(cell))).collect();
+    cuts.since_step = since
+        .into_iter()
+        .map(|(decade, cell)| (10.0_f64.powf(decade as f64 / 2.0), rms(cell)))
+        .collect();
     cuts
 }
 
@@ -127,7 +141,12 @@ fn rest_against_drive(scene: &Scene, raw: &Stack, axis: usize) -> (f64, f64) {
 }
 
 /// Stage of what no cause accounts for, axis by axis.
-fn leftover_stage(scene: &Scene, raw: &Stack, electrical: &[Option<bool>], axis: usize) -> &'static str {
+fn leftover_stage(
+    scene: &Scene,
+    raw: &Stack,
+    electrical: &[Option<bool>],
+    axis: usize,
+) -> &'static str {
     if electrical[axis] == Some(true) {
         return "amplifier";
     }
@@ -149,7 +168,8 @@ fn leftover_stage(scene: &Scene, raw: &Stack, electrical: &[Option<bool>], axis:
         let coefficients = crate::pyramid::transform(row, &channel.levels);
         for level in 0..channel.levels.count() {
             let part = &coefficients[channel.levels.range(level)];
-            let energy = part.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() - part.len() as f64;
+            let energy =
+                part.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() - part.len() as f64;
             if centre_hz(level, &channel.levels, scene.tracks[channel.track].rate_hz) > 100.0 {
                 fast += energy.max(0.0);
             } else {
@@ -195,7 +215,11 @@ pub fn locations(
         let rest = energy - sum * scale;
         if rest > 0.0 {
             // What a cause of nearly the right form leaves belongs to the stage of that cause.
-            let main = claims.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).filter(|c| *c.1 > 0.5 * energy);
+            let main = claims
+                .iter()
+                .enumerate()
+                .max_by(|a, b| a.1.total_cmp(b.1))
+                .filter(|c| *c.1 > 0.5 * energy);
             let stage = match main {
                 Some((cause, _)) => causes[cause].stage.clone(),
                 None => leftover_stage(scene, raw_after, electrical, axis).to_string(),

@@ -30,7 +30,8 @@ pub fn report(f: &Findings) -> Report {
 
 fn budget(page: Report, f: &Findings) -> Report {
     let gap = &f.diagnosis.gap;
-    let mut fall = Waterfall::new("From the nominal gap to the noise", "rms gap (nm)").start("rig as given", gap.before_nm);
+    let mut fall = Waterfall::new("From the nominal gap to the noise", "rms gap (nm)")
+        .start("rig as given", gap.before_nm);
     for (name, after) in f.staircase {
         fall = fall.step(name.clone(), *after);
     }
@@ -53,7 +54,11 @@ fn budget(page: Report, f: &Findings) -> Report {
             format!("{:.2}", axis.before_nm),
             format!("{:.2}", axis.after_nm),
             format!("{:.2}", axis.floor_nm),
-            if axis.before_nm.powi(2) > 1.01 * axis.floor_nm.powi(2) { format!("{:.1}", 100.0 * axis.closed) } else { "no gap".into() },
+            if axis.before_nm.powi(2) > 1.01 * axis.floor_nm.powi(2) {
+                format!("{:.1}", 100.0 * axis.closed)
+            } else {
+                "no gap".into()
+            },
         ]);
     }
     page.table(table)
@@ -69,16 +74,26 @@ fn bands(cuts: &Cuts) -> (Vec<String>, Vec<Vec<f64>>) {
     let columns = cuts
         .band
         .iter()
-        .map(|(hz, _)| if *hz == 0.0 { "mean".into() } else if *hz < 1.0 { format!("{hz:.2} Hz") } else { format!("{hz:.0} Hz") })
+        .map(|(hz, _)| {
+            if *hz == 0.0 {
+                "mean".into()
+            } else if *hz < 1.0 {
+                format!("{hz:.2} Hz")
+            } else {
+                format!("{hz:.0} Hz")
+            }
+        })
         .collect();
-    let rows = (0..axes).map(|a| cuts.band.iter().map(|(_, e)| 100.0 * e[a] / total).collect()).collect();
+    let rows =
+        (0..axes).map(|a| cuts.band.iter().map(|(_, e)| 100.0 * e[a] / total).collect()).collect();
     (columns, rows)
 }
 
 fn location(page: Report, f: &Findings) -> Report {
     let mut page = page.section("Where it lies");
     if f.diagnosis.verdict == Verdict::NoGap {
-        return page.paragraph("Nowhere: no axis, band or recording holds more than the noise does.");
+        return page
+            .paragraph("Nowhere: no axis, band or recording holds more than the noise does.");
     }
     let axes = f.scene.position_noise.len();
     let mut stage = vec![vec![0.0; STAGES.len()]; axes];
@@ -87,12 +102,23 @@ fn location(page: Report, f: &Findings) -> Report {
             stage[l.axis - 1][k] += 100.0 * l.share;
         }
     }
-    let map = HeatMap::new("Share of the gap by axis and stage").columns(STAGES).rows(axis_names(f)).values(stage).unit("%");
+    let map = HeatMap::new("Share of the gap by axis and stage")
+        .columns(STAGES)
+        .rows(axis_names(f))
+        .values(stage)
+        .unit("%");
     let (columns, rows) = bands(f.cuts);
-    let band = HeatMap::new("Share of the gap by axis and band").columns(columns).rows(axis_names(f)).values(rows).unit("%");
+    let band = HeatMap::new("Share of the gap by axis and band")
+        .columns(columns)
+        .rows(axis_names(f))
+        .values(rows)
+        .unit("%");
     let figures: Vec<(Box<dyn Figure>, &str)> = vec![
         (Box::new(map), "Stage of each axis that the gap comes from (before any effect is added)."),
-        (Box::new(band), "Centre frequencies of factor-of-four bands; `mean` is a constant difference."),
+        (
+            Box::new(band),
+            "Centre frequencies of factor-of-four bands; `mean` is a constant difference.",
+        ),
     ];
     page = page.figures(figures);
     let mut level = LinePlot::new("By drive level").x("drive (V)").y("rms gap (nm)");
@@ -100,7 +126,10 @@ fn location(page: Report, f: &Findings) -> Report {
         let points = f.cuts.level.iter().map(|(v, rms)| (*v, rms[a])).collect();
         level = level.series(Series::line(format!("axis {}", a + 1), points));
     }
-    let mut since = LinePlot::new("By time since the last step").x("time since the step (s)").y("rms gap (nm)").log_x();
+    let mut since = LinePlot::new("By time since the last step")
+        .x("time since the step (s)")
+        .y("rms gap (nm)")
+        .log_x();
     since = since.series(Series::line("before", f.cuts.since_step.clone()));
     since = since.series(Series::line("after", f.cuts_after.since_step.clone()));
     let [up, down, still] = f.cuts.direction;
@@ -109,21 +138,30 @@ fn location(page: Report, f: &Findings) -> Report {
         format!("Rising drive {up:.1} nm, falling {down:.1} nm, standing still {still:.1} nm."),
     )];
     if f.cuts.since_step.len() > 2 {
-        figures.push((Box::new(since), "All axes together, after drive jumps of more than a twentieth of the range.".into()));
+        figures.push((
+            Box::new(since),
+            "All axes together, after drive jumps of more than a twentieth of the range.".into(),
+        ));
     }
     page.figures(figures)
 }
 
 /// Most instructive position channel: the largest gap, held out if that loses little.
 fn showcase<'a>(f: &'a Findings) -> Option<(usize, &'a Channel)> {
-    let gap = |c: usize| f.before[c].as_ref().map_or(0.0, |r| r.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() / r.len() as f64);
+    let gap = |c: usize| {
+        f.before[c]
+            .as_ref()
+            .map_or(0.0, |r| r.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() / r.len() as f64)
+    };
     f.scene
         .channels
         .iter()
         .enumerate()
         .filter(|(_, ch)| ch.kind == Kind::Position && !ch.has_memory())
         .max_by(|a, b| {
-            let score = |(c, ch): &(usize, &Channel)| gap(*c) * if ch.held_out { 4.0 } else { 1.0 } * ch.sigma.powi(2);
+            let score = |(c, ch): &(usize, &Channel)| {
+                gap(*c) * if ch.held_out { 4.0 } else { 1.0 } * ch.sigma.powi(2)
+            };
             score(a).total_cmp(&score(b))
         })
 }
@@ -137,14 +175,22 @@ fn traces(page: Report, f: &Findings) -> Report {
     let sigma = channel.sigma;
     let start = channel.range.start;
     let time = |k: usize| track.time_s(start + k);
-    let with = |value: &dyn Fn(usize) -> f64| -> Vec<(f64, f64)> { (0..before.len()).map(|k| (time(k), value(k))).collect() };
+    let with = |value: &dyn Fn(usize) -> f64| -> Vec<(f64, f64)> {
+        (0..before.len()).map(|k| (time(k), value(k))).collect()
+    };
     let measured = |k: usize| f64::from(position[start + k]);
     let traces = LinePlot::new(format!("{}, axis {}", track.experiment, channel.axis + 1))
         .x("time (s)")
         .y("position (um)")
         .series(Series::line("measured", with(&measured)))
-        .series(Series::line("simulated before", with(&|k| measured(k) - f64::from(before[k]) * sigma)))
-        .series(Series::dashed("simulated after", with(&|k| measured(k) - f64::from(after[k]) * sigma)));
+        .series(Series::line(
+            "simulated before",
+            with(&|k| measured(k) - f64::from(before[k]) * sigma),
+        ))
+        .series(Series::dashed(
+            "simulated after",
+            with(&|k| measured(k) - f64::from(after[k]) * sigma),
+        ));
     let errors = LinePlot::new("Measured minus simulated")
         .x("time (s)")
         .y("difference (nm)")
@@ -162,11 +208,16 @@ fn traces(page: Report, f: &Findings) -> Report {
         .y("difference (nm)")
         .series(Series::points("before", thin(against_drive(before))).color(1))
         .series(Series::points("after", thin(against_drive(after))).color(2));
-    let mut spectra = LinePlot::new("Spectrum of the difference").x("frequency (Hz)").y("nm / sqrt(Hz)").log_x().log_y();
+    let mut spectra = LinePlot::new("Spectrum of the difference")
+        .x("frequency (Hz)")
+        .y("nm / sqrt(Hz)")
+        .log_x()
+        .log_y();
     let mut floor = 0.0;
     for (name, row, colour) in [("before", before, 1), ("after", after, 2)] {
         let (step, power) = spectrum(row, track.rate_hz);
-        spectra = spectra.series(Series::line(name, octaves(step, &power, sigma * 1.0e3)).color(colour));
+        spectra =
+            spectra.series(Series::line(name, octaves(step, &power, sigma * 1.0e3)).color(colour));
         floor = sigma * 1.0e3 * (2.0 / track.rate_hz).sqrt();
     }
     spectra = spectra.hline(floor, "noise");
@@ -185,7 +236,8 @@ fn octaves(step_hz: f64, power: &[f64], scale: f64) -> Vec<(f64, f64)> {
     let mut out: Vec<(f64, f64)> = Vec::new();
     let mut low = 1;
     while low < power.len() {
-        let high = ((low as f64 * 2.0_f64.powf(1.0 / 12.0)).ceil() as usize).max(low + 1).min(power.len());
+        let high =
+            ((low as f64 * 2.0_f64.powf(1.0 / 12.0)).ceil() as usize).max(low + 1).min(power.len());
         let mean = power[low..high].iter().sum::<f64>() / (high - low) as f64;
         out.push((0.5 * (low + high - 1) as f64 * step_hz, scale * mean.sqrt()));
         low = high;
@@ -239,7 +291,8 @@ fn causes(page: Report, f: &Findings) -> Report {
         page = page.table(table);
         if let Some(effect) = find(&cause.effect) {
             let info = effect.info();
-            page = page.paragraph(format!("Physics: {} Revealed by {}", info.physics, info.revealed_by));
+            page = page
+                .paragraph(format!("Physics: {} Revealed by {}", info.physics, info.revealed_by));
         }
         page = page.paragraph(if cause.indistinguishable_from.is_empty() {
             "Nothing else in the catalogue explains these recordings as well.".to_string()
@@ -288,7 +341,11 @@ fn leftover(page: Report, f: &Findings) -> Report {
         energy_of(f.after) / energy_of(f.before).max(1.0e-30)
     ));
     if share > 0.5 {
-        let band = HeatMap::new("Share of what is left by axis and band").columns(columns).rows(axis_names(f)).values(rows).unit("%");
+        let band = HeatMap::new("Share of what is left by axis and band")
+            .columns(columns)
+            .rows(axis_names(f))
+            .values(rows)
+            .unit("%");
         page = page.figure(&band, "Where the remainder lies.");
     }
     notes(page, f)
@@ -308,7 +365,12 @@ fn recordings(page: Report, f: &Findings) -> Report {
             Role::Fit => "fit",
             Role::HeldOut => "check",
         };
-        table = table.row([r.file.clone(), role.into(), format!("{:.2}", r.before_nm), format!("{:.2}", r.after_nm)]);
+        table = table.row([
+            r.file.clone(),
+            role.into(),
+            format!("{:.2}", r.before_nm),
+            format!("{:.2}", r.after_nm),
+        ]);
     }
     page.section("Recordings").table(table)
 }

@@ -92,7 +92,11 @@ fn short_block(block: &[f32]) -> (f32, Vec<f32>) {
 
 /// Centre frequency of a level in Hz, for people; the last level holds the mean and is reported as 0.
 pub fn centre_hz(level: usize, levels: &Levels, rate_hz: f64) -> f64 {
-    if level + 1 == levels.count() { 0.0 } else { rate_hz / 4.0 / (BLOCK as f64).powi(level as i32) }
+    if level + 1 == levels.count() {
+        0.0
+    } else {
+        rate_hz / 4.0 / (BLOCK as f64).powi(level as i32)
+    }
 }
 
 #[cfg(test)]

@@ -99,7 +99,14 @@ impl Scene {
                     (Kind::Monitor, &track.monitor_v[axis], &monitor_noise[axis]),
                 ] {
                     let (Some(_), Some(noise)) = (column, noise) else { continue };
-                    channels.push(Channel::new(index, track, axis, kind, noise.sigma, track.settle..track.len()));
+                    channels.push(Channel::new(
+                        index,
+                        track,
+                        axis,
+                        kind,
+                        noise.sigma,
+                        track.settle..track.len(),
+                    ));
                 }
             }
         }
@@ -107,7 +114,13 @@ impl Scene {
     }
 
     /// Simulate one recording.
-    pub fn output(&self, rig: &Rig, track: usize, axes: Axes, initial: &[Initial]) -> Result<Output, Error> {
+    pub fn output(
+        &self,
+        rig: &Rig,
+        track: usize,
+        axes: Axes,
+        initial: &[Initial],
+    ) -> Result<Output, Error> {
         let track = &self.tracks[track];
         let drive: Vec<&[f64]> = track.drive_v.iter().map(Vec::as_slice).collect();
         let input = Input {
@@ -125,7 +138,9 @@ impl Scene {
     pub fn residual(&self, channel: &Channel, output: &Output) -> Vec<f32> {
         let track = &self.tracks[channel.track];
         let (measured, simulated, scale) = match channel.kind {
-            Kind::Position => (&track.position_um[channel.axis], &output.position_m[channel.axis], METRES_TO_UM),
+            Kind::Position => {
+                (&track.position_um[channel.axis], &output.position_m[channel.axis], METRES_TO_UM)
+            }
             Kind::Monitor => (&track.monitor_v[channel.axis], &output.monitor_v[channel.axis], 1.0),
         };
         let Some(measured) = measured else { return vec![0.0; channel.range.len()] };
@@ -144,7 +159,11 @@ impl Scene {
     }
 
     /// Whitened residuals of every rig, in parallel over rigs and recordings.
-    pub fn residuals(&self, rigs: &[(&Rig, Wanted)], include: impl Fn(&Channel) -> bool + Sync) -> Result<Vec<Stack>, Error> {
+    pub fn residuals(
+        &self,
+        rigs: &[(&Rig, Wanted)],
+        include: impl Fn(&Channel) -> bool + Sync,
+    ) -> Result<Vec<Stack>, Error> {
         let jobs: Vec<(usize, usize)> = (0..rigs.len())
             .flat_map(|rig| (0..self.tracks.len()).map(move |track| (rig, track)))
             .collect();
@@ -168,7 +187,9 @@ impl Scene {
                 let output = self.output(rig, track, Axes::Only(mask), &[])?;
                 let rows = mine
                     .into_iter()
-                    .map(|c| (c, self.channels[c].whiten(&self.residual(&self.channels[c], &output))))
+                    .map(|c| {
+                        (c, self.channels[c].whiten(&self.residual(&self.channels[c], &output)))
+                    })
                     .collect();
                 Ok((index, rows))
             })
@@ -183,7 +204,11 @@ impl Scene {
     }
 
     /// Residuals over time in units of the noise, what an unknown memory could have caused taken out.
-    pub fn raw(&self, rig: &Rig, include: impl Fn(&Channel) -> bool + Sync) -> Result<Stack, Error> {
+    pub fn raw(
+        &self,
+        rig: &Rig,
+        include: impl Fn(&Channel) -> bool + Sync,
+    ) -> Result<Stack, Error> {
         let rows: Vec<Vec<(usize, Vec<f32>)>> = (0..self.tracks.len())
             .into_par_iter()
             .map(|track| {
@@ -232,7 +257,10 @@ impl Scene {
             .into_par_iter()
             .map(|track| {
                 let virgin = self.output(rig, track, Axes::All, &[])?;
-                let swept = [self.output(rig, track, Axes::All, &starts[0])?, self.output(rig, track, Axes::All, &starts[1])?];
+                let swept = [
+                    self.output(rig, track, Axes::All, &starts[0])?,
+                    self.output(rig, track, Axes::All, &starts[1])?,
+                ];
                 Ok(self
                     .channels
                     .iter()
@@ -245,9 +273,15 @@ impl Scene {
                         swept
                             .iter()
                             .map(|output| {
-                                self.residual(channel, output).iter().zip(&base).map(|(a, b)| a - b).collect::<Vec<f32>>()
+                                self.residual(channel, output)
+                                    .iter()
+                                    .zip(&base)
+                                    .map(|(a, b)| a - b)
+                                    .collect::<Vec<f32>>()
                             })
-                            .filter(|d: &Vec<f32>| d.iter().fold(0.0_f32, |m, x| m.max(x.abs())) > 0.3)
+                            .filter(|d: &Vec<f32>| {
+                                d.iter().fold(0.0_f32, |m, x| m.max(x.abs())) > 0.3
+                            })
                             .collect()
                     })
                     .collect())
@@ -265,11 +299,30 @@ impl Scene {
 
 impl Channel {
     /// A channel weighed by its noise alone.
-    pub fn new(track_index: usize, track: &Track, axis: usize, kind: Kind, sigma: f64, range: std::ops::Range<usize>) -> Self {
+    pub fn new(
+        track_index: usize,
+        track: &Track,
+        axis: usize,
+        kind: Kind,
+        sigma: f64,
+        range: std::ops::Range<usize>,
+    ) -> Self {
         let levels = Levels::new(range.len());
         let unrepeatable = floor::unrepeatable_levels(track, axis, kind, sigma, &levels);
         let weights = unrepeatable.iter().map(|v| (1.0 / v.sqrt()) as f32).collect();
-        Self { track: track_index, axis, kind, sigma, range, levels, unrepeatable, weights, memory: Vec::new(), nuisance: Vec::new(), held_out: false }
+        Self {
+            track: track_index,
+            axis,
+            kind,
+            sigma,
+            range,
+            levels,
+            unrepeatable,
+            weights,
+            memory: Vec::new(),
+            nuisance: Vec::new(),
+            held_out: false,
+        }
     }
 
     /// Band-weighted coefficients of a residual given in units of the noise, unknown memory removed.

@@ -86,12 +86,16 @@ pub fn screen(
             let mut changed = rig.clone();
             for &place in &members {
                 for (parameter, &value) in info.parameters.iter().zip(&values) {
-                    changed.set(info.name, place, parameter.name, value).map_err(|e| Error::Rig(e.to_string()))?;
+                    changed
+                        .set(info.name, place, parameter.name, value)
+                        .map_err(|e| Error::Rig(e.to_string()))?;
                 }
             }
             tick();
             // A setting that cannot be simulated is no direction.
-            let Ok(mut stacks) = scene.residuals(&[(&changed, wanted)], include) else { return Ok(Vec::new()) };
+            let Ok(mut stacks) = scene.residuals(&[(&changed, wanted)], include) else {
+                return Ok(Vec::new());
+            };
             let mut rows = stacks.remove(0);
             let mut found = Vec::new();
             for &place in &members {
@@ -102,7 +106,9 @@ pub fn screen(
                     if axes >> scene.channels[c].axis & 1 == 0 {
                         continue;
                     }
-                    let (Some(mut row), Some(here)) = (row.take(), base[c].as_ref()) else { continue };
+                    let (Some(mut row), Some(here)) = (row.take(), base[c].as_ref()) else {
+                        continue;
+                    };
                     for (x, &h) in row.iter_mut().zip(here) {
                         *x -= h;
                     }
@@ -114,7 +120,13 @@ pub fn screen(
                     }
                 }
                 if energy > 0.0 {
-                    found.push(Direction { effect: index, place, values: values.clone(), rows: mine, energy });
+                    found.push(Direction {
+                        effect: index,
+                        place,
+                        values: values.clone(),
+                        rows: mine,
+                        energy,
+                    });
                 }
             }
             Ok(found)
@@ -125,7 +137,12 @@ pub fn screen(
 
 impl Screen {
     /// Test a residual against every direction. `model` holds the sensitivities of what is already in the model.
-    pub fn test(&self, scene: &Scene, stack: &Stack, model: Option<&Sensitivities>) -> Vec<Vec<Gain>> {
+    pub fn test(
+        &self,
+        scene: &Scene,
+        stack: &Stack,
+        model: Option<&Sensitivities>,
+    ) -> Vec<Vec<Gain>> {
         let tested: Vec<Option<(usize, Gain)>> = self
             .directions
             .par_iter()
@@ -136,8 +153,9 @@ impl Screen {
             // The two phases of a hum are independent: together they gain what each gains alone.
             if self.effects[effect].info().name.ends_with("-hum") {
                 let frequency = gain.start.last().copied();
-                if let Some(known) =
-                    best[effect].iter_mut().find(|g| g.place == gain.place && g.start.last().copied() == frequency)
+                if let Some(known) = best[effect]
+                    .iter_mut()
+                    .find(|g| g.place == gain.place && g.start.last().copied() == frequency)
                 {
                     known.gain += gain.gain;
                     known.start[0] += gain.start[0];
@@ -157,13 +175,24 @@ impl Screen {
             if effect.info().name.ends_with("-hum") {
                 gains.sort_by(|a, b| b.gain.total_cmp(&a.gain));
                 let mut seen: Vec<Place> = Vec::new();
-                gains.retain(|g| !seen.contains(&g.place) && { seen.push(g.place); true });
+                gains.retain(|g| {
+                    !seen.contains(&g.place) && {
+                        seen.push(g.place);
+                        true
+                    }
+                });
             }
         }
         best
     }
 
-    fn gain(&self, scene: &Scene, direction: &Direction, stack: &Stack, model: Option<&Sensitivities>) -> Option<Gain> {
+    fn gain(
+        &self,
+        scene: &Scene,
+        direction: &Direction,
+        stack: &Stack,
+        model: Option<&Sensitivities>,
+    ) -> Option<Gain> {
         let mut along = 0.0;
         for (c, row) in &direction.rows {
             along += dot(row, stack[*c].as_ref()?);
@@ -176,8 +205,9 @@ impl Screen {
             let mut cross = DVector::zeros(n);
             for (c, row) in &direction.rows {
                 let here = stack[*c].as_ref()?;
-                let known: Vec<(usize, &Vec<f32>)> =
-                    (0..n).filter_map(|k| model.row(k, *c, scene.channels[*c].axis).map(|r| (k, r))).collect();
+                let known: Vec<(usize, &Vec<f32>)> = (0..n)
+                    .filter_map(|k| model.row(k, *c, scene.channels[*c].axis).map(|r| (k, r)))
+                    .collect();
                 for &(a, ra) in &known {
                     gradient[a] += dot(ra, here);
                     cross[a] += dot(ra, row);

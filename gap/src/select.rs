@@ -100,14 +100,21 @@ impl Model {
     }
 
     /// The rig with this model's effects except those of `term` at the places that `drop` picks.
-    pub fn without(&self, nominal: &Rig, term: usize, drop: impl Fn(Place) -> bool) -> Result<Rig, Error> {
+    pub fn without(
+        &self,
+        nominal: &Rig,
+        term: usize,
+        drop: impl Fn(Place) -> bool,
+    ) -> Result<Rig, Error> {
         let mut rig = nominal.clone();
         for (t, this) in self.terms.iter().enumerate() {
             for (p, &place) in this.places.iter().enumerate() {
                 if t == term && drop(place) {
                     continue;
                 }
-                for (knob, &value) in knobs_at(this.effect, place, &self.ranges).iter().zip(self.values(t, p)) {
+                for (knob, &value) in
+                    knobs_at(this.effect, place, &self.ranges).iter().zip(self.values(t, p))
+                {
                     knob.write(&mut rig, value)?;
                 }
             }
@@ -151,7 +158,18 @@ impl<'a> Search<'a> {
         let noise = noise_cost(scene, &base);
         let gap = cost(&base) - noise;
         let screen = screen(scene, nominal, &base, effects, ranges, include, tick)?;
-        Ok(Self { scene, nominal, base, screen, gap, noise, tried: Vec::new(), ranges: ranges.clone(), include, tick })
+        Ok(Self {
+            scene,
+            nominal,
+            base,
+            screen,
+            gap,
+            noise,
+            tried: Vec::new(),
+            ranges: ranges.clone(),
+            include,
+            tick,
+        })
     }
 
     /// Find the model. `None` when no single effect is worth anything.
@@ -170,7 +188,8 @@ impl<'a> Search<'a> {
             let worth = if size == 1 {
                 saved > WORTH_ABSOLUTE
             } else {
-                saved > WORTH_ABSOLUTE.max(WORTH_OF_LEFTOVER * leftover).max(WORTH_OF_GAP * self.gap)
+                saved
+                    > WORTH_ABSOLUTE.max(WORTH_OF_LEFTOVER * leftover).max(WORTH_OF_GAP * self.gap)
             };
             if !worth {
                 break;
@@ -190,13 +209,20 @@ impl<'a> Search<'a> {
 
     /// Fit the best models of `size` effects together with their most promising partners.
     fn widen(&mut self, size: usize) -> Result<(), Error> {
-        let mut starts: Vec<Model> = self.tried.iter().filter(|m| m.terms.len() == size).cloned().collect();
+        let mut starts: Vec<Model> =
+            self.tried.iter().filter(|m| m.terms.len() == size).cloned().collect();
         starts.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
         starts.truncate(BEAM);
         for start in starts {
             let f = &start.fit;
-            let sensitivities =
-                Sensitivities::at(self.scene, self.nominal, &f.knobs, &f.values, &f.stack, self.include)?;
+            let sensitivities = Sensitivities::at(
+                self.scene,
+                self.nominal,
+                &f.knobs,
+                &f.values,
+                &f.stack,
+                self.include,
+            )?;
             let gains = self.screen.test(self.scene, &f.stack, Some(&sensitivities));
             let names: Vec<&str> = start.terms.iter().map(Term::name).collect();
             for (effect, gains) in self.shortlist(&gains, &names, PARTNERS) {
@@ -214,15 +240,23 @@ impl<'a> Search<'a> {
     }
 
     /// Best effects by predicted gain, with the places that are worth fitting.
-    fn shortlist(&self, gains: &[Vec<Gain>], taken: &[&str], most: usize) -> Vec<(EffectRef, Vec<Gain>)> {
+    fn shortlist(
+        &self,
+        gains: &[Vec<Gain>],
+        taken: &[&str],
+        most: usize,
+    ) -> Vec<(EffectRef, Vec<Gain>)> {
         let mut ranked: Vec<(f64, EffectRef, Vec<Gain>)> = gains
             .iter()
             .zip(&self.screen.effects)
             .filter(|(_, effect)| !taken.contains(&effect.info().name))
             .filter_map(|(gains, &effect)| {
                 let top = gains.iter().map(|g| g.gain).fold(0.0, f64::max);
-                let kept: Vec<Gain> =
-                    gains.iter().filter(|g| g.gain > (0.5 * WORTH_OF_PLACE).max(1.0e-4 * top)).cloned().collect();
+                let kept: Vec<Gain> = gains
+                    .iter()
+                    .filter(|g| g.gain > (0.5 * WORTH_OF_PLACE).max(1.0e-4 * top))
+                    .cloned()
+                    .collect();
                 let total: f64 = kept.iter().map(|g| g.gain).sum();
                 (total > WORTH_ABSOLUTE).then_some((total, effect, kept))
             })
@@ -233,7 +267,12 @@ impl<'a> Search<'a> {
     }
 
     /// Fit `effect` at the places of `gains`, jointly with `known` terms that start at their values.
-    pub fn fit_terms(&self, known: &[(Term, Vec<f64>)], effect: EffectRef, gains: &[Gain]) -> Result<Model, Error> {
+    pub fn fit_terms(
+        &self,
+        known: &[(Term, Vec<f64>)],
+        effect: EffectRef,
+        gains: &[Gain],
+    ) -> Result<Model, Error> {
         let mut terms: Vec<Term> = known.iter().map(|(t, _)| t.clone()).collect();
         let mut start: Vec<f64> = known.iter().flat_map(|(_, v)| v.iter().copied()).collect();
         terms.push(Term { effect, places: gains.iter().map(|g| g.place).collect() });
@@ -242,9 +281,16 @@ impl<'a> Search<'a> {
     }
 
     /// Fit given terms from given values.
-    pub fn fit_model(&self, terms: Vec<Term>, start: Vec<f64>, effort: Effort) -> Result<Model, Error> {
-        let knobs: Vec<Knob> =
-            terms.iter().flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p, &self.ranges))).collect();
+    pub fn fit_model(
+        &self,
+        terms: Vec<Term>,
+        start: Vec<f64>,
+        effort: Effort,
+    ) -> Result<Model, Error> {
+        let knobs: Vec<Knob> = terms
+            .iter()
+            .flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p, &self.ranges)))
+            .collect();
         let fit = fit(self.scene, self.nominal, knobs, start, effort, self.include)?;
         (self.tick)();
         Ok(Model { terms, fit, ranges: self.ranges.clone() })
@@ -257,7 +303,11 @@ impl<'a> Search<'a> {
 
     /// Best model with exactly `size` effects.
     pub fn best_of(&self, size: usize) -> Option<Model> {
-        self.tried.iter().filter(|m| m.terms.len() == size).min_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost)).cloned()
+        self.tried
+            .iter()
+            .filter(|m| m.terms.len() == size)
+            .min_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost))
+            .cloned()
     }
 
     /// Take out terms and places that the model does not need, and fit the rest again.

@@ -24,7 +24,8 @@ fn fingerprint(track: &Track) -> Vec<f64> {
         let levels = Levels::new(series.len());
         let coefficients = transform(&series, &levels);
         for level in 0..levels.count() {
-            let energy: f64 = coefficients[levels.range(level)].iter().map(|&x| f64::from(x).powi(2)).sum();
+            let energy: f64 =
+                coefficients[levels.range(level)].iter().map(|&x| f64::from(x).powi(2)).sum();
             let band = if level + 1 == levels.count() {
                 BANDS - 1
             } else {
@@ -57,12 +58,18 @@ pub fn split(scene: &mut Scene, keep: &[usize]) {
             .iter()
             .filter(|t| !keep.contains(t))
             .map(|&t| {
-                let near =
-                    fit.iter().filter(|&&o| o != t).map(|&o| distance(t, o)).fold(f64::INFINITY, f64::min);
+                let near = fit
+                    .iter()
+                    .filter(|&&o| o != t)
+                    .map(|&o| distance(t, o))
+                    .fold(f64::INFINITY, f64::min);
                 (t, near)
             })
             // Of two relatives the one that moves less goes: the fit keeps the louder.
-            .min_by(|a, b| a.1.total_cmp(&b.1).then_with(|| loudness(&prints[a.0]).total_cmp(&loudness(&prints[b.0]))));
+            .min_by(|a, b| {
+                a.1.total_cmp(&b.1)
+                    .then_with(|| loudness(&prints[a.0]).total_cmp(&loudness(&prints[b.0])))
+            });
         match next {
             Some((track, _)) => held.push(track),
             None => break,
@@ -84,7 +91,14 @@ fn split_blocks(scene: &mut Scene) {
         let (start, len) = (channel.range.start, channel.range.len());
         for (b, &held_out) in BLOCKS.iter().enumerate() {
             let range = start + len * b / BLOCKS.len()..start + len * (b + 1) / BLOCKS.len();
-            let mut part = Channel::new(channel.track, track, channel.axis, channel.kind, channel.sigma, range);
+            let mut part = Channel::new(
+                channel.track,
+                track,
+                channel.axis,
+                channel.kind,
+                channel.sigma,
+                range,
+            );
             part.held_out = held_out;
             channels.push(part);
         }

@@ -32,7 +32,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let session = Session::read(&args.session, args.sample_rate)?;
     for name in &args.exclude {
         if host_sim::effects::find(name).is_none() {
-            let known: Vec<&str> = host_sim::effects::catalogue().iter().map(|e| e.info().name).collect();
+            let known: Vec<&str> =
+                host_sim::effects::catalogue().iter().map(|e| e.info().name).collect();
             bail!("--exclude {name}: no such effect; the catalogue has {}", known.join(", "));
         }
     }
@@ -58,7 +59,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
 
 /// Write files into a folder, all of them or none: each goes to a temporary name first.
 pub(crate) fn write_all(folder: &Path, files: &[(&str, String)]) -> anyhow::Result<()> {
-    fs::create_dir_all(folder).with_context(|| format!("{}: cannot make the folder", folder.display()))?;
+    fs::create_dir_all(folder)
+        .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
     let mut made = Vec::new();
     for (name, text) in files {
         let temporary = folder.join(format!(".{name}.part"));
@@ -73,7 +75,8 @@ pub(crate) fn write_all(folder: &Path, files: &[(&str, String)]) -> anyhow::Resu
     }
     for ((name, _), temporary) in files.iter().zip(&made) {
         let target = folder.join(name);
-        fs::rename(temporary, &target).with_context(|| format!("{}: cannot write", target.display()))?;
+        fs::rename(temporary, &target)
+            .with_context(|| format!("{}: cannot write", target.display()))?;
     }
     Ok(())
 }
