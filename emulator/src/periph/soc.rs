@@ -1,0 +1,563 @@
+//! The chip: address decoding, interrupt lines, and the next moment at which a peripheral has something to do.
+//!
+//! Time advances with executed instructions (one cycle each, times [`Soc::cycles_per_instruction`]); peripherals are
+//! brought up to date when their deadline passes or their registers are touched. Registers that no model claims keep
+//! what is written to them and are listed in [`Soc::plain_registers`], so that nothing is silently pretended:
+//! SYSCFG, CRS, EXTI, DBGMCU, DMA, DMAMUX, VREFBUF and OPAMP are of this kind. A peripheral whose clock is gated
+//! reads 0 and ignores writes, which is listed in [`Soc::violations`].
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::adc::{Adc, AdcCommon};
+use super::analog::Analog;
+use super::dac::Dac;
+use super::flash::Flash;
+use super::gpio::Gpio;
+use super::iwdg::Iwdg;
+use super::nvic::{Nvic, exception};
+use super::rcc::{Rcc, ResetCause};
+use super::tim::Timer;
+use super::usb::Usb;
+use crate::cpu::memory::Memory;
+use crate::time::{CYCLE, MILLISECOND, NEVER, Time};
+use crate::usb_host::Stack;
+
+/// Interrupt numbers (RM0440 table 97).
+mod irq {
+    pub const PVD: u32 = 1;
+    pub const FLASH: u32 = 4;
+    pub const ADC1_2: u32 = 18;
+    pub const USB_LP: u32 = 20;
+    pub const TIM2: u32 = 28;
+    pub const TIM3: u32 = 29;
+    pub const TIM4: u32 = 30;
+    pub const ADC3: u32 = 47;
+    pub const TIM5: u32 = 50;
+    pub const TIM6: u32 = 54;
+    pub const TIM7: u32 = 55;
+    pub const ADC4: u32 = 61;
+    pub const ADC5: u32 = 62;
+}
+
+/// Everything on the chip but the core.
+pub struct Soc {
+    /// Now.
+    pub now: Time,
+    /// When a peripheral, the host or the caller next needs a look.
+    pub deadline: Time,
+    /// The run stops here.
+    pub stop_at: Time,
+    /// Set when translated code has to be left at the next block.
+    pub attention: bool,
+    /// One instruction.
+    pub insn_unit: Time,
+    /// Cycles charged for an instruction, in sixteenths: 16 is one. Results must not depend on it.
+    pub cycles_per_instruction: Time,
+    /// Instructions executed since power-on.
+    pub instructions: u64,
+    /// Interrupt controller.
+    pub nvic: Nvic,
+    /// Clocks.
+    pub rcc: Rcc,
+    /// Flash bank 2.
+    pub flash: Flash,
+    /// TIM2 to TIM7.
+    pub tim: [Timer; 6],
+    /// ADC1 to ADC5.
+    pub adc: [Adc; 5],
+    common: [AdcCommon; 2],
+    /// DAC1 and DAC2.
+    pub dac: [Dac; 2],
+    /// Ports A to G.
+    pub gpio: [Gpio; 7],
+    /// Independent watchdog.
+    pub iwdg: Iwdg,
+    /// USB device.
+    pub usb: Usb,
+    /// The computer at the other end of the cable.
+    pub stack: Stack,
+    /// The board and the plant.
+    pub analog: Box<dyn Analog>,
+    /// The watchdog fired.
+    pub watchdog_reset: bool,
+    /// Silicon rules broken, each once.
+    pub violations: BTreeSet<String>,
+    plain: BTreeMap<u32, u32>,
+    /// Registers used that no model claims: address, whether written.
+    pub plain_registers: BTreeSet<(u32, bool)>,
+    /// TIM6 trigger edges since power-on.
+    pub triggers: u64,
+    /// Time of the last trigger edge.
+    pub last_trigger: Time,
+    /// Longest and shortest time between two edges.
+    pub trigger_period: (Time, Time),
+    cyccnt_base: (Time, u32),
+    dwt_on: bool,
+    uid: [u32; 3],
+    /// Accesses to peripherals.
+    pub accesses: u64,
+    /// Supply below the PVD threshold.
+    pub brown: bool,
+    /// Value of IPSR for ICSR reads.
+    pub ipsr: u32,
+}
+
+impl Soc {
+    /// A chip on a board, unpowered until [`Soc::reset`].
+    pub fn new(analog: Box<dyn Analog>, packet_memory: Memory, hse_hz: u64) -> Soc {
+        Soc {
+            now: 0,
+            deadline: 0,
+            stop_at: NEVER,
+            attention: false,
+            insn_unit: 255,
+            cycles_per_instruction: 16,
+            instructions: 0,
+            nvic: Nvic::default(),
+            rcc: Rcc::new(ResetCause::PowerOn, hse_hz),
+            flash: Flash::default(),
+            tim: Self::timers(),
+            adc: [1, 2, 3, 4, 5].map(Adc::new),
+            common: Default::default(),
+            dac: Default::default(),
+            gpio: std::array::from_fn(Gpio::new),
+            iwdg: Iwdg::default(),
+            usb: Usb::new(packet_memory),
+            stack: Stack::new(),
+            analog,
+            watchdog_reset: false,
+            violations: BTreeSet::new(),
+            plain: BTreeMap::new(),
+            plain_registers: BTreeSet::new(),
+            triggers: 0,
+            last_trigger: 0,
+            trigger_period: (NEVER, 0),
+            cyccnt_base: (0, 0),
+            dwt_on: false,
+            uid: [0x0032_001d, 0x3439_5106, 0x2031_3356],
+            accesses: 0,
+            brown: false,
+            ipsr: 0,
+        }
+    }
+
+    fn timers() -> [Timer; 6] {
+        [u32::MAX, 0xffff, 0xffff, u32::MAX, 0xffff, 0xffff].map(Timer::new)
+    }
+
+    /// The 96-bit unique identifier.
+    pub fn uid(&self) -> [u32; 3] {
+        self.uid
+    }
+
+    /// All registers to their reset values; flash, host and board stay.
+    pub fn reset(&mut self, cause: ResetCause) {
+        let hse = self.rcc.hse_hz;
+        self.rcc = Rcc::new(cause, hse);
+        self.nvic = Nvic::default();
+        self.flash.reset();
+        self.tim = Self::timers();
+        let dead = self.adc.each_ref().map(|a| a.dead);
+        self.adc = [1, 2, 3, 4, 5].map(Adc::new);
+        for (a, d) in self.adc.iter_mut().zip(dead) {
+            a.dead = d;
+        }
+        self.common = Default::default();
+        self.dac = Default::default();
+        self.gpio = std::array::from_fn(Gpio::new);
+        self.iwdg = Iwdg::default();
+        self.usb = Usb::new(self.usb.memory.clone());
+        self.watchdog_reset = false;
+        self.plain.clear();
+        self.trigger_period = (NEVER, 0);
+        self.last_trigger = 0;
+        self.dwt_on = false;
+        self.clocks_changed();
+        self.drive();
+        for port in 0..self.gpio.len() {
+            self.pins(port);
+        }
+        let Soc { stack, usb, now, .. } = self;
+        stack.update(*now, usb);
+        self.sync();
+    }
+
+    fn clocks_changed(&mut self) {
+        let unit = self.rcc.ahb_unit();
+        for t in &mut self.tim {
+            t.set_clock(self.now, unit);
+        }
+        self.nvic.set_clock(self.now, unit);
+        let count = self.cyccnt();
+        self.insn_unit = unit * self.cycles_per_instruction / 16;
+        self.cyccnt_base = (self.now, count);
+        self.check_clock_rules();
+    }
+
+    /// Charges `sixteenths` of a cycle per instruction from now on.
+    pub fn set_cycles_per_instruction(&mut self, sixteenths: Time) {
+        self.cycles_per_instruction = sixteenths;
+        self.insn_unit = self.rcc.ahb_unit() * sixteenths / 16;
+    }
+
+    fn cyccnt(&self) -> u32 {
+        let (base, count) = self.cyccnt_base;
+        if self.dwt_on { count.wrapping_add(((self.now - base) / self.rcc.ahb_unit()) as u32) } else { count }
+    }
+
+    /// Rules a chip would punish silently (DS12288 5.3, RM0440 3.3.3, 6.1.5, 21.4.3, 22.7.17).
+    fn check_clock_rules(&mut self) {
+        let hz = self.rcc.sysclk_hz().unwrap_or(0);
+        let mut broken = Vec::new();
+        if hz > 34_000_000 && self.flash.latency() < ((hz - 1) / 34_000_000) as u32 {
+            broken.push(format!("flash latency {} at {hz} Hz", self.flash.latency()));
+        }
+        if hz > 150_000_000 && self.plain.get(&0x4000_7080).copied().unwrap_or(0x100) & 0x100 != 0 {
+            broken.push(format!("{hz} Hz without range 1 boost (PWR_CR5.R1MODE) {:x?} at {}", self.plain.get(&0x4000_7080), self.now));
+        }
+        if hz > 170_000_000 {
+            broken.push(format!("{hz} Hz, the core runs at 170 MHz at most"));
+        }
+        if !self.rcc.apb_undivided() {
+            broken.push("an APB prescaler is not 1: timer clocks here would be wrong".into());
+        }
+        self.violations.extend(broken);
+    }
+
+    fn drive(&mut self) {
+        let codes = [self.dac[0].output(0), self.dac[0].output(1), self.dac[1].output(0)];
+        self.analog.drive(self.now, codes);
+    }
+
+    fn pins(&mut self, port: usize) {
+        let (outputs, levels) = self.gpio[port].outputs();
+        self.analog.pins(self.now, port, outputs, levels);
+    }
+
+    /// Brings every peripheral up to now, sets interrupt lines, finds the next deadline.
+    pub fn sync(&mut self) {
+        let now = self.now;
+        if now >= self.nvic.next_event() {
+            self.nvic.update(now);
+        }
+        for t in &mut self.tim {
+            t.update(now);
+        }
+        if let Some(at) = self.tim[4].take_trgo() {
+            self.trigger(at);
+        }
+        let ahb = self.rcc.ahb_unit();
+        for (i, a) in self.adc.iter_mut().enumerate() {
+            if a.next_event() <= now {
+                a.update(now, &self.common[(i >= 2) as usize], ahb, &mut *self.analog);
+            }
+        }
+        self.flash.update(now);
+        if std::mem::take(&mut self.flash.nmi) {
+            self.nvic.pend(exception::NMI);
+        }
+        if now >= self.iwdg.next_event() {
+            self.watchdog_reset = true;
+        }
+        if now >= self.stack.next_event(now) {
+            self.stack.update(now, &mut self.usb);
+        }
+        self.lines();
+        self.find_deadline();
+    }
+
+    fn find_deadline(&mut self) {
+        let now = self.now;
+        let mut d = self.nvic.next_event().min(self.flash.next_event()).min(self.iwdg.next_event());
+        for t in &self.tim {
+            d = d.min(t.next_event(now));
+        }
+        for a in &self.adc {
+            d = d.min(a.next_event());
+        }
+        self.deadline = d.min(self.stack.next_event(now)).min(self.stop_at);
+        self.attention = self.nvic.any_pending() || self.wants_out();
+    }
+
+    /// Whether the machine has to look at the chip between two blocks for another reason than an interrupt.
+    #[inline]
+    pub fn wants_out(&self) -> bool {
+        self.now >= self.stop_at || self.watchdog_reset || self.nvic.reset_request || self.flash.power_lost
+    }
+
+    fn trigger(&mut self, at: Time) {
+        self.triggers += 1;
+        if self.last_trigger != 0 {
+            let d = at - self.last_trigger;
+            self.trigger_period = (self.trigger_period.0.min(d), self.trigger_period.1.max(d));
+        }
+        self.last_trigger = at;
+        let ahb = self.rcc.ahb_unit();
+        // Short-circuiting would leave the second converter without its edge.
+        let latched = self.dac[0].trigger_tim6() | self.dac[1].trigger_tim6();
+        if latched {
+            let codes = [self.dac[0].output(0), self.dac[0].output(1), self.dac[1].output(0)];
+            self.analog.drive(at, codes);
+            let hz = crate::time::SECOND as f64 / ahb as f64;
+            if !self.dac.iter().all(|d| d.output(0).is_none() || d.high_frequency_ok(hz)) {
+                self.violations.insert(format!("DAC_MCR.HFSEL does not suit AHB at {hz} Hz"));
+            }
+        }
+        for (i, a) in self.adc.iter_mut().enumerate() {
+            let common = &self.common[(i >= 2) as usize];
+            a.trigger_tim6(at, common, ahb);
+            if a.next_event() != NEVER && common.clock_hz(ahb) > 60.0e6 {
+                self.violations.insert(format!("ADC{} clock above 60 MHz", i + 1));
+            }
+        }
+    }
+
+    fn lines(&mut self) {
+        let mut lines = 0u128;
+        let mut set = |n: u32, high: bool| lines |= (high as u128) << exception::irq(n);
+        set(irq::TIM2, self.tim[0].line());
+        set(irq::TIM3, self.tim[1].line());
+        set(irq::TIM4, self.tim[2].line());
+        set(irq::TIM5, self.tim[3].line());
+        set(irq::TIM6, self.tim[4].line());
+        set(irq::TIM7, self.tim[5].line());
+        set(irq::ADC1_2, self.adc[0].line() || self.adc[1].line());
+        set(irq::ADC3, self.adc[2].line());
+        set(irq::ADC4, self.adc[3].line());
+        set(irq::ADC5, self.adc[4].line());
+        set(irq::USB_LP, self.usb.line());
+        set(irq::FLASH, self.flash.line());
+        let pvd = self.plain.get(&0x4000_7004).copied().unwrap_or(0) & 1 != 0;
+        let unmasked = self.plain.get(&0x4001_0400).copied().unwrap_or(0) >> 16 & 1 != 0;
+        set(irq::PVD, pvd && unmasked && self.brown);
+        self.nvic.set_lines(lines);
+    }
+
+    /// Jumps to the next deadline: the core sleeps.
+    pub fn skip(&mut self) {
+        if self.deadline > self.now && self.deadline != NEVER {
+            self.now = self.deadline;
+        }
+        self.sync();
+    }
+
+    /// A peripheral read of `size` bytes.
+    pub fn read(&mut self, address: u32, size: usize) -> u32 {
+        self.accesses += 1;
+        let word = self.read_word(address & !3);
+        let v = word >> ((address & 3) * 8);
+        match size {
+            1 => v & 0xff,
+            2 => v & 0xffff,
+            _ => v,
+        }
+    }
+
+    fn gated(&mut self, address: u32) -> bool {
+        if self.rcc.is_clocked(address) {
+            return false;
+        }
+        self.violations.insert(format!("access to {:#010x}.. while its clock is off", address & !0x3ff));
+        true
+    }
+
+    fn read_word(&mut self, a: u32) -> u32 {
+        let now = self.now;
+        if now >= self.deadline {
+            self.sync();
+        }
+        match a {
+            0xe000_1004 => return self.cyccnt(),
+            0xe000_1000 => return 0x4000_0000 | self.dwt_on as u32,
+            0xe000_e000..=0xe000_efff => return self.nvic.read(a & 0xfff, now, self.ipsr),
+            0xe004_2000 => return 0x2019_6469,
+            _ => {}
+        }
+        if self.gated(a) {
+            return 0;
+        }
+        let o = a & 0x3ff;
+        match a {
+            0x4000_0000..=0x4000_17ff => self.tim[(a >> 10 & 7) as usize].read(o, now),
+            0x4000_3000..=0x4000_33ff => self.iwdg.read(o),
+            0x4000_5c00..=0x4000_5fff => self.usb.read(o, (now / MILLISECOND) as u32),
+            // PWR_SR2: PVDO follows the supply; the regulator is always ready.
+            0x4000_7014 => (self.brown as u32) << 11,
+            0x4002_1000..=0x4002_13ff => self.rcc.read(o),
+            0x4002_2000..=0x4002_23ff => self.flash.read(o),
+            0x4800_0000..=0x4800_1bff => {
+                let port = (a >> 10 & 7) as usize;
+                self.gpio[port].read(o, self.analog.inputs(port))
+            }
+            0x5000_0000..=0x5000_07ff => {
+                let (pair, slot) = ((a >> 10 & 1) as usize, (o >> 8) as usize);
+                match slot {
+                    3 => self.common[pair].read(o & 0xff),
+                    s => self.adc[pair * 2 + s].read(o & 0xff),
+                }
+            }
+            0x5000_0800..=0x5000_0fff => self.dac[(a >> 10 & 1) as usize].read(o),
+            _ => {
+                self.plain_registers.insert((a, false));
+                self.plain.get(&a).copied().unwrap_or(if a == 0x4000_7080 { 0x100 } else { 0 })
+            }
+        }
+    }
+
+    /// A peripheral write of `size` bytes.
+    pub fn write(&mut self, address: u32, size: usize, value: u32) {
+        self.accesses += 1;
+        let now = self.now;
+        if now >= self.deadline {
+            self.sync();
+        }
+        let a = address & !3;
+        match address {
+            0xe000_1000 => return self.set_dwt(value & 1 != 0, None),
+            0xe000_1004 => return self.set_dwt(self.dwt_on, Some(value)),
+            0xe000_e000..=0xe000_efff => {
+                self.nvic.write(address & 0xfff, size, value, now);
+                self.find_deadline();
+                return;
+            }
+            _ => {}
+        }
+        if self.gated(a) {
+            return;
+        }
+        let o = a & 0x3ff;
+        match a {
+            0x4000_0000..=0x4000_17ff => {
+                let i = (a >> 10 & 7) as usize;
+                self.tim[i].write(o, value, now);
+                if i == 4 && let Some(at) = self.tim[4].take_trgo() {
+                    self.trigger(at);
+                }
+            }
+            0x4000_3000..=0x4000_33ff => {
+                self.iwdg.write(o, value, now);
+                if self.iwdg.running() {
+                    self.rcc.lsi_on();
+                }
+            }
+            0x4000_5c00..=0x4000_5fff => {
+                if !self.rcc.usb_clocked() {
+                    self.violations.insert("USB is used without its 48 MHz clock (HSI48)".into());
+                }
+                self.usb.write(o, value);
+                self.stack.update(now, &mut self.usb);
+            }
+            0x4002_1000..=0x4002_13ff => {
+                let reset = self.rcc.write(o, value);
+                if let Some((start, _)) = reset {
+                    self.reset_peripheral(start);
+                }
+                if o <= 0x0c {
+                    self.clocks_changed();
+                }
+            }
+            0x4002_2000..=0x4002_23ff => self.flash.write(o, value, now),
+            0x4800_0000..=0x4800_1bff => {
+                let port = (a >> 10 & 7) as usize;
+                if self.gpio[port].write(o, value) {
+                    self.pins(port);
+                }
+            }
+            0x5000_0000..=0x5000_07ff => {
+                let (pair, slot) = ((a >> 10 & 1) as usize, (o >> 8) as usize);
+                let ahb = self.rcc.ahb_unit();
+                match slot {
+                    3 => self.common[pair].write(o & 0xff, value),
+                    s => self.adc[pair * 2 + s].write(o & 0xff, value, now, &self.common[pair], ahb),
+                }
+            }
+            0x5000_0800..=0x5000_0fff => {
+                if self.dac[(a >> 10 & 1) as usize].write(o, value) {
+                    self.drive();
+                }
+            }
+            _ => {
+                self.plain_registers.insert((a, true));
+                let shift = (address & 3) * 8;
+                let mask = if size >= 4 { u32::MAX } else { ((1 << (8 * size)) - 1) << shift };
+                let word = self.plain.entry(a).or_insert(0);
+                *word = *word & !mask | (value << shift) & mask;
+                return;
+            }
+        }
+        self.sync();
+    }
+
+    fn set_dwt(&mut self, on: bool, count: Option<u32>) {
+        let value = count.unwrap_or_else(|| self.cyccnt());
+        self.dwt_on = on;
+        self.cyccnt_base = (self.now, value);
+    }
+
+    fn reset_peripheral(&mut self, start: u32) {
+        match start {
+            0x4000_0000..=0x4000_17ff => {
+                let i = (start >> 10 & 7) as usize;
+                self.tim[i] = Timer::new(if matches!(i, 0 | 3) { u32::MAX } else { 0xffff });
+                self.tim[i].set_clock(self.now, self.rcc.ahb_unit());
+            }
+            0x4000_5c00 => self.usb = Usb::new(self.usb.memory.clone()),
+            0x5000_0000 | 0x5000_0400 => {
+                let pair = (start >> 10 & 1) as usize;
+                self.common[pair] = AdcCommon::default();
+                let range = if pair == 0 { 0..2 } else { 2..5 };
+                for i in range {
+                    let dead = self.adc[i].dead;
+                    self.adc[i] = Adc::new(i as u8 + 1);
+                    self.adc[i].dead = dead;
+                }
+            }
+            0x5000_0800 | 0x5000_0c00 => {
+                self.dac[(start >> 10 & 1) as usize] = Dac::default();
+                self.drive();
+            }
+            0x4800_0000..=0x4800_1bff => {
+                let port = (start >> 10 & 7) as usize;
+                self.gpio[port] = Gpio::new(port);
+                self.pins(port);
+            }
+            _ => {}
+        }
+    }
+
+    /// Waits, as the core does, until bank 2 is free.
+    pub fn wait_for_flash(&mut self) {
+        let wait = self.flash.stall(self.now);
+        if wait > 0 {
+            self.now += wait;
+            self.sync();
+        }
+    }
+
+    /// A load from bank 2.
+    pub fn flash_load(&mut self, offset: u32, size: usize) -> u32 {
+        self.wait_for_flash();
+        let v = self.flash.load(offset, size);
+        if self.flash.nmi {
+            self.sync();
+        }
+        v
+    }
+
+    /// A store to bank 2.
+    pub fn flash_store(&mut self, offset: u32, size: usize, value: u32) {
+        self.wait_for_flash();
+        self.flash.store(offset, size, value, self.now);
+        self.sync();
+    }
+
+    /// Core frequency.
+    pub fn core_hz(&self) -> f64 {
+        crate::time::SECOND as f64 / self.rcc.ahb_unit() as f64
+    }
+
+    /// One core cycle now; 170 MHz is [`CYCLE`].
+    pub fn full_speed(&self) -> bool {
+        self.rcc.ahb_unit() == CYCLE
+    }
+}
