@@ -10,8 +10,10 @@
 //! - [`cpu`] executes, takes exceptions, counts instructions
 //! - [`periph`] is the chip, one file for each peripheral
 //! - [`usb_host`] is the computer
+//! - [`board`] wires the plant to the converters and breaks things
 //! - [`rtt`] reads the logs
 
+pub mod board;
 pub mod cpu;
 pub mod periph;
 pub mod rtt;

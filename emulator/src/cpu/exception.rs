@@ -79,7 +79,7 @@ pub fn enter(uc: &mut Unicorn<'_, Core>, exception: u32) -> Result<(), BadStack>
     uc.mem_read(vector as u64, &mut handler).map_err(|_| BadStack(vector))?;
     set(uc, R::PC, u32::from_le_bytes(handler) | 1);
     let core = uc.get_data_mut();
-    core.soc.now += ENTRY_CYCLES * core.soc.rcc.ahb_unit();
+    core.soc.now += ENTRY_CYCLES * core.soc.cycle();
     core.soc.nvic.enter(exception);
     core.soc.ipsr = exception;
     core.profile.enter(exception, core.soc.instructions, core.soc.now, frame);
@@ -122,7 +122,7 @@ pub fn leave(uc: &mut Unicorn<'_, Core>) -> Result<(), BadStack> {
     set(uc, R::PC, word(6) | 1);
     let core = uc.get_data_mut();
     core.profile.leave(exception, core.soc.instructions, core.soc.now);
-    core.soc.now += RETURN_CYCLES * core.soc.rcc.ahb_unit();
+    core.soc.now += RETURN_CYCLES * core.soc.cycle();
     core.soc.nvic.leave(exception);
     core.soc.ipsr = xpsr & 0x1ff;
     core.soc.attention = core.soc.nvic.any_pending() || core.soc.wants_out();

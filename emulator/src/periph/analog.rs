@@ -31,8 +31,8 @@ pub trait Analog {
     fn convert(&mut self, adc: u8, channel: u8, window: &Window) -> u32;
 
     /// The three DAC pins (DAC1_OUT1, DAC1_OUT2, DAC2_OUT1) from `at` on: 12-bit code, or `None` for a pin that is
-    /// not driven. Called at every trigger latch, changed or not, and at every other change.
-    fn drive(&mut self, at: Time, codes: [Option<u16>; 3]);
+    /// not driven. Called at every edge of the control trigger (`latched`), changed or not, and at every other change.
+    fn drive(&mut self, at: Time, codes: [Option<u16>; 3], latched: bool);
 
     /// Every digital output pin of a port changed: bits that are outputs, their levels.
     fn pins(&mut self, at: Time, port: usize, outputs: u16, levels: u16);

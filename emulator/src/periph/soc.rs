@@ -51,6 +51,8 @@ pub struct Soc {
     pub attention: bool,
     /// One instruction.
     pub insn_unit: Time,
+    /// One AHB cycle.
+    ahb: Time,
     /// Cycles charged for an instruction, in sixteenths: 16 is one. Results must not depend on it.
     pub cycles_per_instruction: Time,
     /// Instructions executed since power-on.
@@ -111,6 +113,7 @@ impl Soc {
             stop_at: NEVER,
             attention: false,
             insn_unit: 255,
+            ahb: 255,
             cycles_per_instruction: 16,
             instructions: 0,
             nvic: Nvic::default(),
@@ -184,11 +187,12 @@ impl Soc {
 
     fn clocks_changed(&mut self) {
         let unit = self.rcc.ahb_unit();
+        let count = self.cyccnt();
+        self.ahb = unit;
         for t in &mut self.tim {
             t.set_clock(self.now, unit);
         }
         self.nvic.set_clock(self.now, unit);
-        let count = self.cyccnt();
         self.insn_unit = unit * self.cycles_per_instruction / 16;
         self.cyccnt_base = (self.now, count);
         self.check_clock_rules();
@@ -197,12 +201,12 @@ impl Soc {
     /// Charges `sixteenths` of a cycle per instruction from now on.
     pub fn set_cycles_per_instruction(&mut self, sixteenths: Time) {
         self.cycles_per_instruction = sixteenths;
-        self.insn_unit = self.rcc.ahb_unit() * sixteenths / 16;
+        self.insn_unit = self.ahb * sixteenths / 16;
     }
 
     fn cyccnt(&self) -> u32 {
         let (base, count) = self.cyccnt_base;
-        if self.dwt_on { count.wrapping_add(((self.now - base) / self.rcc.ahb_unit()) as u32) } else { count }
+        if self.dwt_on { count.wrapping_add(((self.now - base) / self.ahb) as u32) } else { count }
     }
 
     /// Rules a chip would punish silently (DS12288 5.3, RM0440 3.3.3, 6.1.5, 21.4.3, 22.7.17).
@@ -226,7 +230,7 @@ impl Soc {
 
     fn drive(&mut self) {
         let codes = [self.dac[0].output(0), self.dac[0].output(1), self.dac[1].output(0)];
-        self.analog.drive(self.now, codes);
+        self.analog.drive(self.now, codes, false);
     }
 
     fn pins(&mut self, port: usize) {
@@ -240,13 +244,13 @@ impl Soc {
         if now >= self.nvic.next_event() {
             self.nvic.update(now);
         }
-        for t in &mut self.tim {
+        for t in self.tim.iter_mut().filter(|t| t.running()) {
             t.update(now);
         }
         if let Some(at) = self.tim[4].take_trgo() {
             self.trigger(at);
         }
-        let ahb = self.rcc.ahb_unit();
+        let ahb = self.ahb;
         for (i, a) in self.adc.iter_mut().enumerate() {
             if a.next_event() <= now {
                 a.update(now, &self.common[(i >= 2) as usize], ahb, &mut *self.analog);
@@ -269,7 +273,7 @@ impl Soc {
     fn find_deadline(&mut self) {
         let now = self.now;
         let mut d = self.nvic.next_event().min(self.flash.next_event()).min(self.iwdg.next_event());
-        for t in &self.tim {
+        for t in self.tim.iter().filter(|t| t.running()) {
             d = d.min(t.next_event(now));
         }
         for a in &self.adc {
@@ -292,12 +296,12 @@ impl Soc {
             self.trigger_period = (self.trigger_period.0.min(d), self.trigger_period.1.max(d));
         }
         self.last_trigger = at;
-        let ahb = self.rcc.ahb_unit();
+        let ahb = self.ahb;
         // Short-circuiting would leave the second converter without its edge.
         let latched = self.dac[0].trigger_tim6() | self.dac[1].trigger_tim6();
+        let codes = [self.dac[0].output(0), self.dac[0].output(1), self.dac[1].output(0)];
+        self.analog.drive(at, codes, true);
         if latched {
-            let codes = [self.dac[0].output(0), self.dac[0].output(1), self.dac[1].output(0)];
-            self.analog.drive(at, codes);
             let hz = crate::time::SECOND as f64 / ahb as f64;
             if !self.dac.iter().all(|d| d.output(0).is_none() || d.high_frequency_ok(hz)) {
                 self.violations.insert(format!("DAC_MCR.HFSEL does not suit AHB at {hz} Hz"));
@@ -465,7 +469,7 @@ impl Soc {
             }
             0x5000_0000..=0x5000_07ff => {
                 let (pair, slot) = ((a >> 10 & 1) as usize, (o >> 8) as usize);
-                let ahb = self.rcc.ahb_unit();
+                let ahb = self.ahb;
                 match slot {
                     3 => self.common[pair].write(o & 0xff, value),
                     s => self.adc[pair * 2 + s].write(o & 0xff, value, now, &self.common[pair], ahb),
@@ -499,7 +503,7 @@ impl Soc {
             0x4000_0000..=0x4000_17ff => {
                 let i = (start >> 10 & 7) as usize;
                 self.tim[i] = Timer::new(if matches!(i, 0 | 3) { u32::MAX } else { 0xffff });
-                self.tim[i].set_clock(self.now, self.rcc.ahb_unit());
+                self.tim[i].set_clock(self.now, self.ahb);
             }
             0x4000_5c00 => self.usb = Usb::new(self.usb.memory.clone()),
             0x5000_0000 | 0x5000_0400 => {
@@ -551,13 +555,19 @@ impl Soc {
         self.sync();
     }
 
+    /// One core cycle.
+    #[inline]
+    pub fn cycle(&self) -> Time {
+        self.ahb
+    }
+
     /// Core frequency.
     pub fn core_hz(&self) -> f64 {
-        crate::time::SECOND as f64 / self.rcc.ahb_unit() as f64
+        crate::time::SECOND as f64 / self.ahb as f64
     }
 
     /// One core cycle now; 170 MHz is [`CYCLE`].
     pub fn full_speed(&self) -> bool {
-        self.rcc.ahb_unit() == CYCLE
+        self.ahb == CYCLE
     }
 }

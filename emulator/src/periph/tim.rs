@@ -45,7 +45,9 @@ impl Timer {
         }
     }
 
-    fn running(&self) -> bool {
+    /// Whether it counts.
+    #[inline]
+    pub fn running(&self) -> bool {
         self.cr1 & 1 != 0
     }
 
