@@ -215,6 +215,10 @@ impl Board {
         match (adc, channel) {
             (1, 1) => self.gauge[0],
             (2, 2) => self.gauge[1],
+            // The drive pins read back on their own ADC inputs: PA4, PA5, PA6.
+            (2, 17) => self.codes[0] as i32 * 16,
+            (2, 13) => self.codes[1] as i32 * 16,
+            (2, 3) => self.codes[2] as i32 * 16,
             (3, 1) => self.gauge[2],
             (4, 3) => self.monitor[0],
             (4, 4) => self.monitor[1],
@@ -222,7 +226,7 @@ impl Board {
             // VREFINT, 1.212 V typical of 3.3 V; temperature sensor, 0.76 V at 30 C; VBAT/3.
             (1 | 3 | 4 | 5, 18) => 24_068,
             (1, 16) | (5, 4) => 15_092,
-            (_, 17) => 21_845,
+            (1 | 5, 17) => 21_845,
             _ => 0,
         }
     }

@@ -11,11 +11,14 @@
 //! - [`periph`] is the chip, one file for each peripheral
 //! - [`usb_host`] is the computer
 //! - [`board`] wires the plant to the converters and breaks things
-//! - [`rtt`] reads the logs
+//! - [`rtt`] reads the logs, [`link`] the wire format, [`bench`] ties it together, [`server`] serves it on a socket
 
+pub mod bench;
 pub mod board;
 pub mod cpu;
+pub mod link;
 pub mod periph;
 pub mod rtt;
+pub mod server;
 pub mod time;
 pub mod usb_host;
