@@ -37,7 +37,12 @@ pub struct Bench {
 
 impl Bench {
     /// Powers the board with a rig on it; nothing has run yet.
-    pub fn new(image: Rc<Image>, rig: &Rig, settings: &Settings, options: Options) -> Result<Bench> {
+    pub fn new(
+        image: Rc<Image>,
+        rig: &Rig,
+        settings: &Settings,
+        options: Options,
+    ) -> Result<Bench> {
         let board = SharedBoard::new(Board::new(rig, settings, options)?);
         let mut machine = Machine::new(image, Box::new(board.clone()), CRYSTAL_HZ)?;
         machine.soc_mut().stack.reading = true;
@@ -83,7 +88,12 @@ impl Bench {
     }
 
     /// Runs until `done`, at most for `patience`.
-    pub fn run_until(&mut self, patience: Time, what: &str, mut done: impl FnMut(&mut Bench) -> bool) -> Result<Time> {
+    pub fn run_until(
+        &mut self,
+        patience: Time,
+        what: &str,
+        mut done: impl FnMut(&mut Bench) -> bool,
+    ) -> Result<Time> {
         let start = self.now();
         while !done(self) {
             if self.now() - start > patience {
@@ -103,7 +113,9 @@ impl Bench {
     pub fn log_tail(&self, lines: usize) -> String {
         let all = &self.machine.rtt.lines;
         let tail = &all[all.len().saturating_sub(lines)..];
-        tail.iter().map(|l| format!("{:10.3} ms {:5} {}\n", milliseconds(l.at), l.level, l.text)).collect()
+        tail.iter()
+            .map(|l| format!("{:10.3} ms {:5} {}\n", milliseconds(l.at), l.level, l.text))
+            .collect()
     }
 
     /// Runs until the device is enumerated and configured.
@@ -145,7 +157,9 @@ impl Bench {
     /// As [`Bench::command`]; the tick at which it acts.
     pub fn act(&mut self, command: &Command) -> Result<u32> {
         match self.command(command)? {
-            Reply::Done { tick } | Reply::Configured { tick, .. } | Reply::Streaming { tick, .. } => Ok(tick),
+            Reply::Done { tick }
+            | Reply::Configured { tick, .. }
+            | Reply::Streaming { tick, .. } => Ok(tick),
             other => bail!("{command:?} was answered by {other:?}"),
         }
     }
@@ -188,7 +202,9 @@ impl Bench {
             let state = flexstage::Flags(status.flags).state();
             match state {
                 State::Run | State::Hold => return Ok(tick),
-                State::Fault => bail!("arming ended in a fault: {:?}", flexstage::Flags(status.flags).faults()),
+                State::Fault => {
+                    bail!("arming ended in a fault: {:?}", flexstage::Flags(status.flags).faults())
+                }
                 State::Off | State::Arming => self.run_for(10 * MILLISECOND)?,
             }
         }

@@ -179,7 +179,8 @@ impl Board {
             true_um[k] = s.true_m * 1.0e6;
             output_v[k] = s.monitor_v;
         }
-        let sensed: [f64; AXES] = std::array::from_fn(|k| samples.get(k).map_or(0.0, |s| s.sensed_m));
+        let sensed: [f64; AXES] =
+            std::array::from_fn(|k| samples.get(k).map_or(0.0, |s| s.sensed_m));
         self.noise = !self.noise;
         self.gauge = read.gauge;
         self.monitor = read.monitor;
@@ -189,7 +190,8 @@ impl Board {
                 Some(GaugeFault::Short) => self.gauge[k] = 0,
                 Some(GaugeFault::Stuck(code)) => self.gauge[k] = code,
                 Some(GaugeFault::Noisy(size)) => {
-                    self.gauge[k] = (read.gauge[k] + if self.noise { size } else { -size }).clamp(0, TOP_CODE);
+                    self.gauge[k] =
+                        (read.gauge[k] + if self.noise { size } else { -size }).clamp(0, TOP_CODE);
                 }
                 Some(GaugeFault::Swapped(with)) => self.gauge[k] = read.gauge[with],
                 Some(GaugeFault::Pushed(um)) => {

@@ -55,7 +55,8 @@ impl Link {
         self.sequence = self.sequence.wrapping_add(1);
         let mut buffer = [0; MAX_FRAME];
         // MAX_FRAME holds the longest command.
-        let bytes = message::encode_command(&mut buffer, self.sequence, command).unwrap_or_default();
+        let bytes =
+            message::encode_command(&mut buffer, self.sequence, command).unwrap_or_default();
         (self.sequence, bytes.to_vec())
     }
 
@@ -68,7 +69,17 @@ impl Link {
 
     /// Takes one finished bulk IN transfer.
     pub fn transfer(&mut self, bytes: &[u8]) {
-        let Link { deframer, replies, identity, tally, samples, newest, undecodable, first_fault, .. } = self;
+        let Link {
+            deframer,
+            replies,
+            identity,
+            tally,
+            samples,
+            newest,
+            undecodable,
+            first_fault,
+            ..
+        } = self;
         deframer.push(bytes, |frame: Frame<'_>| match frame.kind {
             Kind::Stream => {
                 tally.bytes += frame.payload.len() as u64 + 16;

@@ -59,7 +59,8 @@ fn main() -> Result<()> {
         rig.name
     );
     let settings = host_sim::controller_settings(&rig);
-    let mut bench = Bench::new(image, &rig, &settings, Options { seed: cli.seed, ..Options::default() })?;
+    let mut bench =
+        Bench::new(image, &rig, &settings, Options { seed: cli.seed, ..Options::default() })?;
     bench.machine.rtt.echo = true;
     let server = cli.listen.as_deref().map(Server::listen).transpose()?;
     let end = match (cli.seconds, &server) {
@@ -124,7 +125,10 @@ fn serve(bench: &mut Bench, server: &Server, end: Time, speed: Option<f64>) -> R
             _ => {}
         }
         let stack = &mut bench.machine.soc_mut().stack;
-        if connected && !greeted && let Some(device) = stack.device().cloned() {
+        if connected
+            && !greeted
+            && let Some(device) = stack.device().cloned()
+        {
             server.hello(&device);
             greeted = true;
             stack.received.clear();

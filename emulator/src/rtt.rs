@@ -74,7 +74,12 @@ impl Rtt {
                 }
             };
             if self.echo {
-                eprintln!("{:11.3} ms {:5} {}", crate::time::milliseconds(now), line.level, line.text);
+                eprintln!(
+                    "{:11.3} ms {:5} {}",
+                    crate::time::milliseconds(now),
+                    line.level,
+                    line.text
+                );
             }
             self.lines.push(line);
         }

@@ -41,7 +41,8 @@ mod tests {
 
     #[test]
     fn every_clock_of_the_board_divides_the_unit() {
-        for hz in [170_000_000, 16_000_000, 24_000_000, 48_000_000, 42_500_000, 32_000, 12_000_000] {
+        for hz in [170_000_000, 16_000_000, 24_000_000, 48_000_000, 42_500_000, 32_000, 12_000_000]
+        {
             assert_eq!(SECOND % hz, 0, "{hz} Hz");
         }
         assert_eq!(TICK, 17_000 * CYCLE);

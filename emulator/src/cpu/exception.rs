@@ -96,7 +96,9 @@ pub fn leave(uc: &mut Unicorn<'_, Core>) -> Result<(), BadStack> {
     let size = if fp { 0x68 } else { 0x20 };
     let mut bytes = [0u8; 0x68];
     uc.mem_read(sp as u64, &mut bytes[..size]).map_err(|_| BadStack(sp))?;
-    let word = |i: usize| u32::from_le_bytes([bytes[4 * i], bytes[4 * i + 1], bytes[4 * i + 2], bytes[4 * i + 3]]);
+    let word = |i: usize| {
+        u32::from_le_bytes([bytes[4 * i], bytes[4 * i + 1], bytes[4 * i + 2], bytes[4 * i + 3]])
+    };
     if exc_return & 4 != 0 {
         return Err(BadStack(exc_return));
     }

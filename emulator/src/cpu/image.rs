@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use object::{Object, ObjectSegment, ObjectSymbol, elf::FileHeader32, read::elf::ElfFile};
 use object::{Endianness, read::elf::ProgramHeader};
+use object::{Object, ObjectSegment, ObjectSymbol, elf::FileHeader32, read::elf::ElfFile};
 
 /// Flash starts here.
 pub const FLASH: u32 = 0x0800_0000;
@@ -30,17 +30,24 @@ impl Image {
     pub fn load(path: impl AsRef<Path>) -> Result<Image> {
         let path = path.as_ref().to_path_buf();
         let name = path.display();
-        let elf = std::fs::read(&path)
-            .with_context(|| format!("{name}: cannot read the firmware; build it with `cargo xtask firmware`"))?;
+        let elf = std::fs::read(&path).with_context(|| {
+            format!("{name}: cannot read the firmware; build it with `cargo xtask firmware`")
+        })?;
         let file: ElfFile<'_, FileHeader32<Endianness>> = ElfFile::parse(&*elf)
             .with_context(|| format!("{name}: not a 32-bit ELF file; expected the firmware that `cargo xtask firmware` built"))?;
-        ensure!(file.architecture() == object::Architecture::Arm, "{name}: built for {:?}, expected Arm", file.architecture());
+        ensure!(
+            file.architecture() == object::Architecture::Arm,
+            "{name}: built for {:?}, expected Arm",
+            file.architecture()
+        );
         let endian = file.endian();
         let (mut segments, mut ram_segments, mut code) = (Vec::new(), Vec::new(), Vec::new());
         for segment in file.segments() {
             let header = segment.elf_program_header();
             let (load, run) = (header.p_paddr(endian), header.p_vaddr(endian));
-            let data = segment.data().with_context(|| format!("{name}: truncated segment at {load:#010x}"))?;
+            let data = segment
+                .data()
+                .with_context(|| format!("{name}: truncated segment at {load:#010x}"))?;
             if data.is_empty() {
                 continue;
             }
@@ -66,7 +73,11 @@ impl Image {
             let Ok(text) = symbol.name() else { continue };
             symbols.insert(text.to_owned(), (symbol.address() as u32, symbol.size() as u32));
             if symbol.kind() == object::SymbolKind::Text && symbol.size() > 0 {
-                functions.push((symbol.address() as u32 & !1, symbol.size() as u32, text.to_owned()));
+                functions.push((
+                    symbol.address() as u32 & !1,
+                    symbol.size() as u32,
+                    text.to_owned(),
+                ));
             }
         }
         functions.sort();
@@ -126,7 +137,14 @@ mod tests {
 
     #[test]
     fn instruction_lengths() {
-        for (h, wide) in [(0xbf00, false), (0xe7fe, false), (0xf000, true), (0xe92d, true), (0xeeb0, true), (0x4770, false)] {
+        for (h, wide) in [
+            (0xbf00, false),
+            (0xe7fe, false),
+            (0xf000, true),
+            (0xe92d, true),
+            (0xeeb0, true),
+            (0x4770, false),
+        ] {
             assert_eq!(is_wide(h), wide, "{h:04x}");
         }
     }

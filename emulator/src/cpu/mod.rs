@@ -14,7 +14,9 @@ pub mod profile;
 use std::rc::Rc;
 
 use anyhow::{Context, Result, anyhow, bail};
-use unicorn_engine::unicorn_const::{Arch, HookType, MemType, Mode, Prot, TlbEntry, TlbType, uc_error};
+use unicorn_engine::unicorn_const::{
+    Arch, HookType, MemType, Mode, Prot, TlbEntry, TlbType, uc_error,
+};
 use unicorn_engine::{RegisterARM as R, Unicorn};
 
 use crate::periph::nvic::exception as number;
@@ -139,7 +141,8 @@ fn uc<T>(what: &str, r: std::result::Result<T, uc_error>) -> Result<T> {
 impl Machine {
     /// Powers a board with `image` in flash bank 1; the core stands at its reset vector.
     pub fn new(image: Rc<Image>, analog: Box<dyn Analog>, hse_hz: u64) -> Result<Machine> {
-        let (flash, sram, ccm) = (Memory::new(FLASH_BYTES), Memory::new(SRAM_BYTES), Memory::new(CCM_BYTES));
+        let (flash, sram, ccm) =
+            (Memory::new(FLASH_BYTES), Memory::new(SRAM_BYTES), Memory::new(CCM_BYTES));
         let (packets, system) = (Memory::new(4096), Memory::new(SYSTEM_BYTES));
         flash.fill(0xff);
         for (at, bytes) in &image.segments {
@@ -162,7 +165,10 @@ impl Machine {
         // SAFETY: every block outlives its mapping: `Machine` keeps all of them (the chip the packet memory), and
         // unicorn, dropped with `Machine`, is declared first.
         let mut map = |at: u32, memory: &Memory, from: usize, len: usize, prot: Prot| unsafe {
-            uc("map memory", u.mem_map_ptr(at as u64, len as u64, prot, memory.pointer().byte_add(from)))
+            uc(
+                "map memory",
+                u.mem_map_ptr(at as u64, len as u64, prot, memory.pointer().byte_add(from)),
+            )
         };
         map(FLASH, &flash, 0, FLASH_BYTES, read_exec)?;
         map(0, &flash, 0, FLASH_BYTES, read_exec)?;
@@ -175,8 +181,18 @@ impl Machine {
         Self::map_registers(&mut u)?;
         Self::add_hooks(&mut u, &image)?;
         let rtt = Rtt::new(&image)?;
-        let mut m =
-            Machine { uc: u, image, flash, sram, ccm, _system: system, rtt, next_drain: 0, resets: Vec::new(), stops: 0 };
+        let mut m = Machine {
+            uc: u,
+            image,
+            flash,
+            sram,
+            ccm,
+            _system: system,
+            rtt,
+            next_drain: 0,
+            resets: Vec::new(),
+            stops: 0,
+        };
         m.power_on(None);
         Ok(m)
     }
@@ -222,7 +238,10 @@ impl Machine {
         let write = |u: &mut Unicorn<'_, Core>, offset: u64, size: usize, value: u64| {
             u.get_data_mut().soc.flash_store(offset as u32, size, value as u32);
         };
-        uc("map bank 2", u.mmio_map(flash::BANK2 as u64, flash::BANK2_BYTES as u64, Some(read), Some(write)))
+        uc(
+            "map bank 2",
+            u.mmio_map(flash::BANK2 as u64, flash::BANK2_BYTES as u64, Some(read), Some(write)),
+        )
     }
 
     /// Address translation: every address is itself. Its point is that pages without code are not executable: unicorn
@@ -249,7 +268,8 @@ impl Machine {
                 soc.sync();
             }
             if soc.attention {
-                let out = soc.wants_out() || soc.nvic.next_exception(crate::periph::nvic::IDLE).is_some();
+                let out =
+                    soc.wants_out() || soc.nvic.next_exception(crate::periph::nvic::IDLE).is_some();
                 if out && (core.soc.wants_out() || due(u).is_some()) {
                     u.get_data_mut().stop = Stop::Attention;
                     let _ = u.emu_stop();
@@ -282,12 +302,18 @@ impl Machine {
         };
         uc("interrupt hook", u.add_intr_hook(interrupt))?;
         // Not over RAM: unicorn sends every store to a hooked page the slow way.
-        for (first, last) in [(0, CCM - 1), (CCM + CCM_BYTES as u32, SRAM - 1), (0x2002_0000, u32::MAX)] {
-            let invalid = |u: &mut Unicorn<'_, Core>, _: MemType, address: u64, _: usize, _: i64| {
-                u.get_data_mut().bad_address = Some(address as u32);
-                false
-            };
-            uc("memory hook", u.add_mem_hook(HookType::MEM_INVALID, first as u64, last as u64, invalid))?;
+        for (first, last) in
+            [(0, CCM - 1), (CCM + CCM_BYTES as u32, SRAM - 1), (0x2002_0000, u32::MAX)]
+        {
+            let invalid =
+                |u: &mut Unicorn<'_, Core>, _: MemType, address: u64, _: usize, _: i64| {
+                    u.get_data_mut().bad_address = Some(address as u32);
+                    false
+                };
+            uc(
+                "memory hook",
+                u.add_mem_hook(HookType::MEM_INVALID, first as u64, last as u64, invalid),
+            )?;
         }
         for (op, stop) in [(0xbf20, Stop::WaitForEvent), (0xbf30, Stop::WaitForInterrupt)] {
             for at in image.hints(op) {
@@ -299,7 +325,8 @@ impl Machine {
             }
         }
         for at in image.hints(0xbf40) {
-            let send = |u: &mut Unicorn<'_, Core>, _: u64, _: u32| u.get_data_mut().soc.nvic.event = true;
+            let send =
+                |u: &mut Unicorn<'_, Core>, _: u64, _: u32| u.get_data_mut().soc.nvic.event = true;
             uc("event hook", u.add_code_hook(at as u64, at as u64, send))?;
         }
         Ok(())
@@ -357,7 +384,21 @@ impl Machine {
         core.profile.reset();
         core.lengths.forget_ram();
         let _ = self.uc.ctl_flush_tb();
-        let registers = [R::R0, R::R1, R::R2, R::R3, R::R4, R::R5, R::R6, R::R7, R::R8, R::R9, R::R10, R::R11, R::R12];
+        let registers = [
+            R::R0,
+            R::R1,
+            R::R2,
+            R::R3,
+            R::R4,
+            R::R5,
+            R::R6,
+            R::R7,
+            R::R8,
+            R::R9,
+            R::R10,
+            R::R11,
+            R::R12,
+        ];
         for r in registers {
             set(&mut self.uc, r, 0);
         }
@@ -431,7 +472,8 @@ impl Machine {
             if self.soc().nvic.any_pending()
                 && let Some(n) = due(&self.uc)
             {
-                exception::enter(&mut self.uc, n).map_err(|b| self.lockup(&format!("bad stack {:#010x}", b.0)))?;
+                exception::enter(&mut self.uc, n)
+                    .map_err(|b| self.lockup(&format!("bad stack {:#010x}", b.0)))?;
                 continue;
             }
             let pc = get(&self.uc, R::PC);
@@ -445,7 +487,8 @@ impl Machine {
             match self.uc.get_data().stop {
                 Stop::Attention => {}
                 Stop::ExceptionReturn => {
-                    exception::leave(&mut self.uc).map_err(|b| self.lockup(&format!("bad return {:#010x}", b.0)))?;
+                    exception::leave(&mut self.uc)
+                        .map_err(|b| self.lockup(&format!("bad return {:#010x}", b.0)))?;
                     if self.soc().nvic.sleep_on_exit() && self.soc().ipsr == 0 {
                         self.sleep(until);
                     }
@@ -503,10 +546,13 @@ impl Machine {
                 }
                 self.raise(number::USAGE_FAULT, 1 << 16, None)
             }
-            uc_error::FETCH_UNMAPPED | uc_error::FETCH_PROT => self.raise(number::BUS_FAULT, 1 << 8, None),
-            uc_error::READ_UNMAPPED | uc_error::WRITE_UNMAPPED | uc_error::READ_PROT | uc_error::WRITE_PROT => {
-                self.raise(number::BUS_FAULT, 1 << 9 | 1 << 15, address)
+            uc_error::FETCH_UNMAPPED | uc_error::FETCH_PROT => {
+                self.raise(number::BUS_FAULT, 1 << 8, None)
             }
+            uc_error::READ_UNMAPPED
+            | uc_error::WRITE_UNMAPPED
+            | uc_error::READ_PROT
+            | uc_error::WRITE_PROT => self.raise(number::BUS_FAULT, 1 << 9 | 1 << 15, address),
             uc_error::READ_UNALIGNED | uc_error::WRITE_UNALIGNED | uc_error::FETCH_UNALIGNED => {
                 self.raise(number::USAGE_FAULT, 1 << 24, address)
             }
@@ -516,7 +562,8 @@ impl Machine {
 
     fn raise(&mut self, kind: u32, cfsr: u32, address: Option<u32>) -> Result<()> {
         match self.soc_mut().nvic.fault(kind, cfsr, address) {
-            Some(n) => exception::enter(&mut self.uc, n).map_err(|b| self.lockup(&format!("bad stack {:#010x}", b.0))),
+            Some(n) => exception::enter(&mut self.uc, n)
+                .map_err(|b| self.lockup(&format!("bad stack {:#010x}", b.0))),
             None => Err(self.lockup("a fault in a fault handler")),
         }
     }
@@ -548,19 +595,25 @@ impl Machine {
 
     /// Reads memory as a debugger would.
     pub fn read_memory(&self, address: u32, bytes: &mut [u8]) -> Result<()> {
-        uc("read", self.uc.mem_read(address as u64, bytes)).with_context(|| format!("{address:#010x}"))
+        uc("read", self.uc.mem_read(address as u64, bytes))
+            .with_context(|| format!("{address:#010x}"))
     }
 
     /// Writes memory as a debugger would.
     pub fn write_memory(&mut self, address: u32, bytes: &[u8]) -> Result<()> {
-        uc("write", self.uc.mem_write(address as u64, bytes)).with_context(|| format!("{address:#010x}"))
+        uc("write", self.uc.mem_write(address as u64, bytes))
+            .with_context(|| format!("{address:#010x}"))
     }
 
     /// Bytes of stack ever used since power-on, out of those between the end of the statics and the start of the
     /// stack: the painted part that is still untouched is not used.
     pub fn stack_use(&self) -> Option<(usize, usize)> {
         let top = self.image.symbol("_stack_start")?;
-        let end = self.image.symbol("__euninit").or_else(|| self.image.symbol("__ebss"))?.next_multiple_of(8);
+        let end = self
+            .image
+            .symbol("__euninit")
+            .or_else(|| self.image.symbol("__ebss"))?
+            .next_multiple_of(8);
         let (memory, base) = if top > SRAM { (&self.sram, SRAM) } else { (&self.ccm, CCM) };
         let room = top.checked_sub(end)? as usize;
         let untouched = memory.run_of(PAINT, (end - base) as usize).min(room);

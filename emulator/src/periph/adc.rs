@@ -144,7 +144,9 @@ impl Adc {
 
     /// A rising edge of TIM6_TRGO.
     pub fn trigger_tim6(&mut self, at: Time, common: &AdcCommon, ahb: Time) {
-        let armed = self.cr & 8 != 0 && self.jsqr >> 7 & 3 & 1 == 1 && self.jsqr >> 2 & 0x1f == INJECTED_TIM6;
+        let armed = self.cr & 8 != 0
+            && self.jsqr >> 7 & 3 & 1 == 1
+            && self.jsqr >> 2 & 0x1f == INJECTED_TIM6;
         if armed {
             self.start_injected(at, common, ahb);
         }
@@ -156,7 +158,8 @@ impl Adc {
         } else if !self.dead {
             let clock = common.clock(ahb);
             let start = at + LATENCY_HALF_CLOCKS * clock / 2;
-            self.injected = Some(self.run(0, self.injected_channel(0), start, self.ratio(1), clock));
+            self.injected =
+                Some(self.run(0, self.injected_channel(0), start, self.ratio(1), clock));
         }
     }
 
@@ -187,7 +190,8 @@ impl Adc {
             } else {
                 let next = run.rank + 1;
                 let channel = self.injected_channel(next);
-                self.injected = Some(self.run(next, channel, run.ends, self.ratio(1), common.clock(ahb)));
+                self.injected =
+                    Some(self.run(next, channel, run.ends, self.ratio(1), common.clock(ahb)));
             }
         }
         while let Some(run) = self.regular.take_if(|r| r.ends <= now) {
@@ -203,7 +207,8 @@ impl Adc {
             } else {
                 let next = run.rank + 1;
                 let channel = self.sqr1 >> (6 + 6 * next) & 0x1f;
-                self.regular = Some(self.run(next, channel, run.ends, self.ratio(0), common.clock(ahb)));
+                self.regular =
+                    Some(self.run(next, channel, run.ends, self.ratio(0), common.clock(ahb)));
             }
         }
     }

@@ -39,7 +39,10 @@ impl Dac {
     pub fn trigger_tim6(&mut self) -> bool {
         let mut latched = false;
         for c in 0..2 {
-            if self.cr >> (16 * c) & 1 != 0 && self.triggered(c) && self.cr >> (16 * c + 2) & 15 == TSEL_TIM6 {
+            if self.cr >> (16 * c) & 1 != 0
+                && self.triggered(c)
+                && self.cr >> (16 * c + 2) & 15 == TSEL_TIM6
+            {
                 self.dor[c] = self.dhr[c];
                 latched = true;
             }
@@ -77,7 +80,8 @@ impl Dac {
             0x00 => self.cr = value,
             0x04 => {
                 for c in 0..2 {
-                    if value >> c & 1 != 0 && self.triggered(c) && self.cr >> (16 * c + 2) & 15 == 0 {
+                    if value >> c & 1 != 0 && self.triggered(c) && self.cr >> (16 * c + 2) & 15 == 0
+                    {
                         self.dor[c] = self.dhr[c];
                     }
                 }

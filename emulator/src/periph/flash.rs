@@ -169,14 +169,24 @@ impl Flash {
         if self.cr & LOCK != 0 || self.cr & 1 == 0 {
             self.error(PGSERR, format!("store to flash offset {offset:#x} without PG"));
         } else if size != 4 {
-            self.error(SIZERR, format!("{size}-byte store to flash offset {offset:#x}, expected two words"));
+            self.error(
+                SIZERR,
+                format!("{size}-byte store to flash offset {offset:#x}, expected two words"),
+            );
         } else if self.sr & ERRORS != 0 {
             self.error(PGSERR, format!("store to flash offset {offset:#x} with error flags set"));
         } else {
             match self.latch.take() {
                 None if offset & 7 == 0 => self.latch = Some((offset, value)),
-                Some((at, low)) if offset == at + 4 => self.program(at, low as u64 | (value as u64) << 32, now),
-                _ => self.error(PGAERR, format!("store to flash offset {offset:#x} is not the second half of a double word")),
+                Some((at, low)) if offset == at + 4 => {
+                    self.program(at, low as u64 | (value as u64) << 32, now)
+                }
+                _ => self.error(
+                    PGAERR,
+                    format!(
+                        "store to flash offset {offset:#x} is not the second half of a double word"
+                    ),
+                ),
             }
         }
     }
@@ -188,9 +198,14 @@ impl Flash {
     }
 
     fn program(&mut self, at: u32, value: u64, now: Time) {
-        let old = u64::from_le_bytes(self.cells[at as usize..at as usize + 8].try_into().expect("8 bytes"));
+        let old = u64::from_le_bytes(
+            self.cells[at as usize..at as usize + 8].try_into().expect("8 bytes"),
+        );
         if (old != u64::MAX && value != 0) || self.broken.contains(&at) {
-            return self.error(PROGERR, format!("double word {at:#x} is programmed twice without an erase"));
+            return self.error(
+                PROGERR,
+                format!("double word {at:#x} is programmed twice without an erase"),
+            );
         }
         let cut = self.begin(Operation::Program(at), now, PROGRAM);
         match cut {
@@ -219,7 +234,9 @@ impl Flash {
             match cut {
                 Some(Cut::Before) => {}
                 Some(Cut::Torn) => {
-                    let old = u64::from_le_bytes(self.cells[at as usize..at as usize + 8].try_into().expect("8 bytes"));
+                    let old = u64::from_le_bytes(
+                        self.cells[at as usize..at as usize + 8].try_into().expect("8 bytes"),
+                    );
                     let risen = self.random();
                     self.set_word(at, old | risen);
                     if old != u64::MAX {
@@ -261,7 +278,8 @@ impl Flash {
 
     /// Interrupt line.
     pub fn line(&self) -> bool {
-        self.sr & EOP != 0 && self.cr & 1 << 24 != 0 || self.sr & ERRORS != 0 && self.cr & 1 << 25 != 0
+        self.sr & EOP != 0 && self.cr & 1 << 24 != 0
+            || self.sr & ERRORS != 0 && self.cr & 1 << 25 != 0
     }
 
     /// Register read.
@@ -303,7 +321,8 @@ impl Flash {
                     self.erase(now);
                 }
                 if value & 1 << 27 != 0 || value & 1 << 2 != 0 || value & 1 << 15 != 0 {
-                    self.violations.push(format!("FLASH_CR = {value:#010x}: mass erase or option load"));
+                    self.violations
+                        .push(format!("FLASH_CR = {value:#010x}: mass erase or option load"));
                 }
             }
             0x18 => self.eccr &= !(value & 0xf000_0000),

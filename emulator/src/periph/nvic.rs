@@ -70,7 +70,11 @@ impl SysTick {
         (self.rvr as Time + 1) * self.unit
     }
     fn next(&self) -> Time {
-        if self.csr & 1 == 0 || self.rvr == 0 { NEVER } else { self.start + (self.wraps + 1) * self.period() }
+        if self.csr & 1 == 0 || self.rvr == 0 {
+            NEVER
+        } else {
+            self.start + (self.wraps + 1) * self.period()
+        }
     }
 }
 
@@ -204,7 +208,10 @@ impl Nvic {
             self.bfar = a;
         }
         let p = self.group(self.priority[exception as usize]);
-        if exception != exception::HARD_FAULT && self.is_enabled(exception) && p < self.active_priority {
+        if exception != exception::HARD_FAULT
+            && self.is_enabled(exception)
+            && p < self.active_priority
+        {
             return Some(exception);
         }
         self.hfsr |= 1 << 30;
@@ -307,11 +314,19 @@ impl Nvic {
             0x100..=0x10c => self.enabled |= bits(offset),
             0x180..=0x18c => self.enabled &= !bits(offset),
             0x200..=0x20c => self.pending |= bits(offset),
-            0x280..=0x28c => self.pending = self.pending & !bits(offset) | self.lines & !self.active,
+            0x280..=0x28c => {
+                self.pending = self.pending & !bits(offset) | self.lines & !self.active
+            }
             0x400..=0x46f => self.set_priorities((offset - 0x400) as usize + 16, size, value),
             0xd18..=0xd23 => self.set_priorities((offset - 0xd18) as usize + 4, size, value),
             0xd04 => {
-                for (bit, n, set) in [(31, 2, true), (28, 14, true), (27, 14, false), (26, 15, true), (25, 15, false)] {
+                for (bit, n, set) in [
+                    (31, 2, true),
+                    (28, 14, true),
+                    (27, 14, false),
+                    (26, 15, true),
+                    (25, 15, false),
+                ] {
                     if value >> bit & 1 != 0 {
                         if set { self.pending |= 1 << n } else { self.pending &= !(1u128 << n) }
                     }
@@ -327,7 +342,11 @@ impl Nvic {
             0xd24 => {
                 self.shcsr = value;
                 for (bit, n) in [(16, 4), (17, 5), (18, 6)] {
-                    if value >> bit & 1 != 0 { self.enabled |= 1 << n } else { self.enabled &= !(1u128 << n) }
+                    if value >> bit & 1 != 0 {
+                        self.enabled |= 1 << n
+                    } else {
+                        self.enabled &= !(1u128 << n)
+                    }
                 }
             }
             0xd28 => self.cfsr &= !value,
@@ -391,8 +410,15 @@ mod tests {
         let mut n = Nvic::default();
         n.write(0xd22, 1, 0xf0, 0); // PendSV
         assert_eq!(n.priority_of(exception::PEND_SV), 0xf0);
-        assert_eq!(n.fault(exception::BUS_FAULT, 1 << 9, Some(0x3000_0000)), Some(exception::HARD_FAULT));
+        assert_eq!(
+            n.fault(exception::BUS_FAULT, 1 << 9, Some(0x3000_0000)),
+            Some(exception::HARD_FAULT)
+        );
         n.enter(exception::HARD_FAULT);
-        assert_eq!(n.fault(exception::BUS_FAULT, 1 << 9, None), None, "fault in HardFault is lockup");
+        assert_eq!(
+            n.fault(exception::BUS_FAULT, 1 << 9, None),
+            None,
+            "fault in HardFault is lockup"
+        );
     }
 }

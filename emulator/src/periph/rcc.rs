@@ -102,7 +102,9 @@ impl Rcc {
 
     /// Whether the clock of the peripheral in this 1 KiB slot is on; slots without an entry always are.
     pub fn is_clocked(&self, address: u32) -> bool {
-        let Some((_, _, enable, bit)) = GATES.iter().find(|g| (g.0..g.1).contains(&address)) else { return true };
+        let Some((_, _, enable, bit)) = GATES.iter().find(|g| (g.0..g.1).contains(&address)) else {
+            return true;
+        };
         self.word(*enable) >> bit & 1 != 0
     }
 

@@ -217,7 +217,11 @@ impl Soc {
             broken.push(format!("flash latency {} at {hz} Hz", self.flash.latency()));
         }
         if hz > 150_000_000 && self.plain.get(&0x4000_7080).copied().unwrap_or(0x100) & 0x100 != 0 {
-            broken.push(format!("{hz} Hz without range 1 boost (PWR_CR5.R1MODE) {:x?} at {}", self.plain.get(&0x4000_7080), self.now));
+            broken.push(format!(
+                "{hz} Hz without range 1 boost (PWR_CR5.R1MODE) {:x?} at {}",
+                self.plain.get(&0x4000_7080),
+                self.now
+            ));
         }
         if hz > 170_000_000 {
             broken.push(format!("{hz} Hz, the core runs at 170 MHz at most"));
@@ -286,7 +290,10 @@ impl Soc {
     /// Whether the machine has to look at the chip between two blocks for another reason than an interrupt.
     #[inline]
     pub fn wants_out(&self) -> bool {
-        self.now >= self.stop_at || self.watchdog_reset || self.nvic.reset_request || self.flash.power_lost
+        self.now >= self.stop_at
+            || self.watchdog_reset
+            || self.nvic.reset_request
+            || self.flash.power_lost
     }
 
     fn trigger(&mut self, at: Time) {
@@ -361,7 +368,8 @@ impl Soc {
         if self.rcc.is_clocked(address) {
             return false;
         }
-        self.violations.insert(format!("access to {:#010x}.. while its clock is off", address & !0x3ff));
+        self.violations
+            .insert(format!("access to {:#010x}.. while its clock is off", address & !0x3ff));
         true
     }
 
@@ -434,7 +442,9 @@ impl Soc {
             0x4000_0000..=0x4000_17ff => {
                 let i = (a >> 10 & 7) as usize;
                 self.tim[i].write(o, value, now);
-                if i == 4 && let Some(at) = self.tim[4].take_trgo() {
+                if i == 4
+                    && let Some(at) = self.tim[4].take_trgo()
+                {
                     self.trigger(at);
                 }
             }
@@ -472,7 +482,9 @@ impl Soc {
                 let ahb = self.ahb;
                 match slot {
                     3 => self.common[pair].write(o & 0xff, value),
-                    s => self.adc[pair * 2 + s].write(o & 0xff, value, now, &self.common[pair], ahb),
+                    s => {
+                        self.adc[pair * 2 + s].write(o & 0xff, value, now, &self.common[pair], ahb)
+                    }
                 }
             }
             0x5000_0800..=0x5000_0fff => {

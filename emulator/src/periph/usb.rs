@@ -89,7 +89,10 @@ impl Usb {
             0x00..=0x1c => {
                 let e = &mut self.ep[offset as usize / 4];
                 let toggles = DTOG_RX | STAT_RX | DTOG_TX | STAT_TX;
-                *e = *e & SETUP | value & 0x070f | *e & value & (CTR_RX | CTR_TX) | (*e ^ value) & toggles;
+                *e = *e & SETUP
+                    | value & 0x070f
+                    | *e & value & (CTR_RX | CTR_TX)
+                    | (*e ^ value) & toggles;
             }
             0x40 => {
                 self.cntr = value;
@@ -137,7 +140,8 @@ impl Usb {
         let row = self.row(endpoint);
         let at = self.memory.u16(row + 4) as usize & 0x3ff;
         let count = self.memory.u16(row + 6);
-        let room = ((count >> 10 & 31) as usize + (count >> 15) as usize) * if count >> 15 != 0 { 32 } else { 2 };
+        let room = ((count >> 10 & 31) as usize + (count >> 15) as usize)
+            * if count >> 15 != 0 { 32 } else { 2 };
         let kept = &data[..data.len().min(room).min(1024 - at)];
         self.memory.write(at, kept);
         self.memory.set_u16(row + 6, count & 0xfc00 | kept.len() as u16);
@@ -162,12 +166,19 @@ impl Usb {
             return Handshake::Nak;
         }
         self.receive(0, data);
-        self.ep[0] = self.ep[0] & 0x070f | CTR_RX | SETUP | DTOG_RX | NAK << 12 | DTOG_TX | NAK << 4;
+        self.ep[0] =
+            self.ep[0] & 0x070f | CTR_RX | SETUP | DTOG_RX | NAK << 12 | DTOG_TX | NAK << 4;
         Handshake::Ack(())
     }
 
     /// OUT token and a packet DATA0 (`toggle` false) or DATA1.
-    pub fn out(&mut self, address: u8, endpoint: usize, toggle: bool, data: &[u8]) -> Handshake<()> {
+    pub fn out(
+        &mut self,
+        address: u8,
+        endpoint: usize,
+        toggle: bool,
+        data: &[u8],
+    ) -> Handshake<()> {
         if !self.answers(address) {
             return Handshake::Silent;
         }

@@ -190,7 +190,13 @@ impl Host {
         self.address = 0;
         for (pipe, queue) in &mut self.queues {
             for t in queue.drain(..) {
-                self.completions.push_back(Completion { id: t.id, pipe: *pipe, status, data: t.data, at: now });
+                self.completions.push_back(Completion {
+                    id: t.id,
+                    pipe: *pipe,
+                    status,
+                    data: t.data,
+                    at: now,
+                });
             }
         }
     }
@@ -262,7 +268,13 @@ impl Host {
                 }
                 while let Some(t) = self.queues[i].1.pop_front() {
                     let status = Status::Cancelled;
-                    self.completions.push_back(Completion { id: t.id, pipe, status, data: t.data, at: now });
+                    self.completions.push_back(Completion {
+                        id: t.id,
+                        pipe,
+                        status,
+                        data: t.data,
+                        at: now,
+                    });
                 }
             }
         }
@@ -288,9 +300,17 @@ impl Host {
     pub fn next_event(&self, now: Time) -> Time {
         let port = match self.port {
             Port::Debouncing(t) | Port::Resetting(t) | Port::Recovering(t) => t,
-            Port::Enabled if self.running.is_none() && self.queues.iter().any(|q| !q.1.is_empty()) => {
+            Port::Enabled
+                if self.running.is_none() && self.queues.iter().any(|q| !q.1.is_empty()) =>
+            {
                 // Time-outs of control transfers that the device never answers.
-                self.queues.iter().filter_map(|q| q.1.front()).map(|t| t.deadline).min().unwrap_or(NEVER).max(now + 1)
+                self.queues
+                    .iter()
+                    .filter_map(|q| q.1.front())
+                    .map(|t| t.deadline)
+                    .min()
+                    .unwrap_or(NEVER)
+                    .max(now + 1)
             }
             _ => NEVER,
         };
@@ -462,7 +482,9 @@ impl Host {
                                 t.stage = Stage::StatusOut;
                                 t.toggle = true;
                             }
-                            (_, Pipe::In(_)) if short || t.data.len() >= t.want => ended = Some(Status::Done),
+                            (_, Pipe::In(_)) if short || t.data.len() >= t.want => {
+                                ended = Some(Status::Done)
+                            }
                             _ => {}
                         }
                     }
@@ -495,7 +517,13 @@ impl Host {
         }
         if let Some(status) = ended {
             let t = self.queues[index].1.pop_front().expect("front");
-            self.completions.push_back(Completion { id: t.id, pipe, status, data: t.data, at: now });
+            self.completions.push_back(Completion {
+                id: t.id,
+                pipe,
+                status,
+                data: t.data,
+                at: now,
+            });
         }
     }
 }

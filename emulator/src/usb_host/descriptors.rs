@@ -58,7 +58,10 @@ fn u16_at(b: &[u8], at: usize) -> u16 {
 impl Device {
     /// The first bulk endpoint of a direction.
     pub fn bulk(&self, input: bool) -> Option<u8> {
-        self.endpoints.iter().find(|e| e.kind == 2 && (e.address & 0x80 != 0) == input).map(|e| e.address & 15)
+        self.endpoints
+            .iter()
+            .find(|e| e.kind == 2 && (e.address & 0x80 != 0) == input)
+            .map(|e| e.address & 15)
     }
 
     fn problem(&mut self, what: impl Into<String>) {
@@ -87,7 +90,9 @@ impl Device {
         self.expect("bMaxPacketSize0", b[7], 64);
         (self.vid, self.pid, self.release) = (u16_at(b, 8), u16_at(b, 10), u16_at(b, 12));
         self.string_index = [b[14], b[15], b[16]];
-        for (name, index) in ["iManufacturer", "iProduct", "iSerialNumber"].iter().zip(self.string_index) {
+        for (name, index) in
+            ["iManufacturer", "iProduct", "iSerialNumber"].iter().zip(self.string_index)
+        {
             if index == 0 {
                 self.problem(format!("{name} is 0: no string"));
             }
@@ -98,7 +103,10 @@ impl Device {
     /// Configuration descriptor and everything behind it (9.6.3, 9.6.5, 9.6.6).
     pub fn read_configuration(&mut self, b: &[u8]) {
         if b.len() < 9 {
-            return self.problem(format!("configuration descriptor has {} bytes, expected at least 9", b.len()));
+            return self.problem(format!(
+                "configuration descriptor has {} bytes, expected at least 9",
+                b.len()
+            ));
         }
         self.expect("configuration bDescriptorType", b[1], 2);
         self.expect("wTotalLength", u16_at(b, 2) as usize, b.len());
@@ -115,7 +123,10 @@ impl Device {
         while at + 2 <= b.len() {
             let length = b[at] as usize;
             if length < 2 || at + length > b.len() {
-                return self.problem(format!("descriptor at offset {at} has bLength {length}, {} bytes are left", b.len() - at));
+                return self.problem(format!(
+                    "descriptor at offset {at} has bLength {length}, {} bytes are left",
+                    b.len() - at
+                ));
             }
             let d = &b[at..at + length];
             match d[1] {
@@ -127,9 +138,17 @@ impl Device {
                     }
                 }
                 5 if length == 7 => {
-                    let e = Endpoint { address: d[2], kind: d[3] & 3, max_packet: u16_at(d, 4), interface: current };
+                    let e = Endpoint {
+                        address: d[2],
+                        kind: d[3] & 3,
+                        max_packet: u16_at(d, 4),
+                        interface: current,
+                    };
                     if e.kind == 2 && !matches!(e.max_packet, 8 | 16 | 32 | 64) {
-                        self.problem(format!("bulk endpoint {:#04x} has wMaxPacketSize {}", e.address, e.max_packet));
+                        self.problem(format!(
+                            "bulk endpoint {:#04x} has wMaxPacketSize {}",
+                            e.address, e.max_packet
+                        ));
                     }
                     if self.endpoints.iter().any(|o| o.address == e.address) {
                         self.problem(format!("endpoint {:#04x} is described twice", e.address));
@@ -151,7 +170,8 @@ impl Device {
         if b.len() < 2 || b[0] as usize != b.len() || b[1] != 3 || !b.len().is_multiple_of(2) {
             return self.problem(format!("{name} string descriptor is malformed: {b:02x?}"));
         }
-        let units: Vec<u16> = b[2..].chunks_exact(2).map(|c| u16::from_le_bytes([c[0], c[1]])).collect();
+        let units: Vec<u16> =
+            b[2..].chunks_exact(2).map(|c| u16::from_le_bytes([c[0], c[1]])).collect();
         match String::from_utf16(&units) {
             Ok(s) if !s.is_empty() => self.strings[which] = s,
             _ => self.problem(format!("{name} string is empty or not UTF-16")),
@@ -160,8 +180,10 @@ impl Device {
 
     /// Binary object store: finds the Microsoft OS 2.0 platform capability.
     pub fn read_bos(&mut self, b: &[u8]) {
-        const MS_OS_20: [u8; 16] =
-            [0xdf, 0x60, 0xdd, 0xd8, 0x89, 0x45, 0xc7, 0x4c, 0x9c, 0xd2, 0x65, 0x9d, 0x9e, 0x64, 0x8a, 0x9f];
+        const MS_OS_20: [u8; 16] = [
+            0xdf, 0x60, 0xdd, 0xd8, 0x89, 0x45, 0xc7, 0x4c, 0x9c, 0xd2, 0x65, 0x9d, 0x9e, 0x64,
+            0x8a, 0x9f,
+        ];
         if b.len() < 5 || b[0] != 5 || b[1] != 15 {
             return self.problem(format!("BOS descriptor is malformed: {b:02x?}"));
         }
@@ -208,7 +230,8 @@ impl Device {
                     self.expect("MS OS 2.0 subset length", u16_at(d, 6) as usize, b.len() - at);
                 }
                 3 if length == 20 => {
-                    let id: String = d[4..12].iter().take_while(|c| **c != 0).map(|c| *c as char).collect();
+                    let id: String =
+                        d[4..12].iter().take_while(|c| **c != 0).map(|c| *c as char).collect();
                     self.compatible_ids.push(id);
                 }
                 4 => self.read_property(d),
@@ -221,16 +244,21 @@ impl Device {
 
     fn read_property(&mut self, d: &[u8]) {
         let wide = |s: &[u8]| {
-            let units: Vec<u16> = s.chunks_exact(2).map(|c| u16::from_le_bytes([c[0], c[1]])).collect();
+            let units: Vec<u16> =
+                s.chunks_exact(2).map(|c| u16::from_le_bytes([c[0], c[1]])).collect();
             String::from_utf16_lossy(&units)
         };
         let (kind, name_length) = (u16_at(d, 4), u16_at(d, 6) as usize);
         let Some(name) = d.get(8..8 + name_length) else {
-            return self.problem(format!("registry property name length {name_length} exceeds the descriptor"));
+            return self.problem(format!(
+                "registry property name length {name_length} exceeds the descriptor"
+            ));
         };
         let data_length = u16_at(d, 8 + name_length) as usize;
         let Some(data) = d.get(10 + name_length..10 + name_length + data_length) else {
-            return self.problem(format!("registry property data length {data_length} exceeds the descriptor"));
+            return self.problem(format!(
+                "registry property data length {data_length} exceeds the descriptor"
+            ));
         };
         let name = wide(name);
         if name == "DeviceInterfaceGUIDs\0" {
@@ -239,7 +267,8 @@ impl Device {
             if !text.ends_with("\0\0") {
                 self.problem("DeviceInterfaceGUIDs does not end in two NULs");
             }
-            self.interface_guids.extend(text.split('\0').filter(|s| !s.is_empty()).map(str::to_owned));
+            self.interface_guids
+                .extend(text.split('\0').filter(|s| !s.is_empty()).map(str::to_owned));
         }
     }
 }

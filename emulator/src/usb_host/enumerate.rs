@@ -134,7 +134,9 @@ impl Stack {
         while let Some(done) = self.host.completion() {
             self.finish(done, now);
         }
-        if self.step.is_some_and(|s| !matches!(s, Step::Ready | Step::Failed)) && self.waiting.is_none() {
+        if self.step.is_some_and(|s| !matches!(s, Step::Ready | Step::Failed))
+            && self.waiting.is_none()
+        {
             self.request(now);
         }
         if self.reading
@@ -233,7 +235,9 @@ impl Stack {
                 self.found.read_device(b);
                 Step::ConfigurationHeader
             }
-            Step::ConfigurationHeader if b.len() >= 4 => Step::Configuration(u16::from_le_bytes([b[2], b[3]])),
+            Step::ConfigurationHeader if b.len() >= 4 => {
+                Step::Configuration(u16::from_le_bytes([b[2], b[3]]))
+            }
             Step::ConfigurationHeader => Step::Failed,
             Step::Configuration(_) => {
                 self.found.read_configuration(b);
@@ -241,7 +245,10 @@ impl Stack {
             }
             Step::Qualifier => {
                 if ok {
-                    self.found.problems.push("a full-speed-only device answered DEVICE_QUALIFIER (9.6.2: request error)".into());
+                    self.found.problems.push(
+                        "a full-speed-only device answered DEVICE_QUALIFIER (9.6.2: request error)"
+                            .into(),
+                    );
                 }
                 if self.found.usb > 0x0200 { Step::BosHeader } else { Step::Languages }
             }
@@ -276,9 +283,17 @@ impl Stack {
             }
             Step::Status => {
                 if b.len() != 2 {
-                    self.found.problems.push(format!("GET_STATUS gave {b:02x?}, expected two bytes"));
+                    self.found
+                        .problems
+                        .push(format!("GET_STATUS gave {b:02x?}, expected two bytes"));
                 }
-                self.log.push((now, format!("configured: {:04x}:{:04x} {:?}", self.found.vid, self.found.pid, self.found.strings)));
+                self.log.push((
+                    now,
+                    format!(
+                        "configured: {:04x}:{:04x} {:?}",
+                        self.found.vid, self.found.pid, self.found.strings
+                    ),
+                ));
                 Step::Ready
             }
             s => s,
