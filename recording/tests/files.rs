@@ -249,7 +249,10 @@ fn a_stream_that_is_cut_loses_at_most_a_second() {
         [(0, 0), (10, 0), (0, 5), (300, 100), (data.len() / 2, 0), (0, entries.len() / 2)]
     {
         let mut cut = data[..data.len() - data_cut].to_vec();
-        cut.extend_from_slice(&[0xaa; 33]);
+        if data_cut == 0 {
+            // What the journal vouches for was on disk before it; only what came after can be rubbish.
+            cut.extend_from_slice(&[0xaa; 33]);
+        }
         fs::write(&part, cut).unwrap();
         fs::write(&journal, &entries[..entries.len() - entries_cut]).unwrap();
         let recording = recover(&path).unwrap();

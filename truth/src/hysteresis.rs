@@ -1,0 +1,255 @@
+//! Voltage that a stack's ferroelectric hysteresis takes from the drive, as a function of the charge's history.
+//!
+//! Four classes of operator. The nominal one is a sum of plays (the dual of the slip elements of Goldfarb and Celanovic,
+//! IEEE Control Systems 17(3), 1997); the others stand for stacks that are not built like the model: many uneven and
+//! one-sided plays (generalised Prandtl-Ishlinskii), a Bouc-Wen loop, and a Preisach operator in Everett form.
+
+use rand::{Rng, RngExt};
+
+use crate::rig::Axis;
+
+/// One play of half-width `width_c` (C) and slope `slope` (V/C); `skew` makes the way down wider than the way up.
+#[derive(Clone, Debug)]
+struct Play {
+    slope: f64,
+    up_c: f64,
+    down_c: f64,
+    center_c: f64,
+}
+
+/// A hysteresis with its memory.
+#[derive(Clone, Debug)]
+pub struct Hysteresis {
+    class: Class,
+    charge_c: f64,
+}
+
+#[derive(Clone, Debug)]
+enum Class {
+    Plays(Vec<Play>),
+    /// `z` in -1 to 1; voltage `height_v` z, initial slope `height_v / width_c`, exponent, and pinching of the loop's way back.
+    BoucWen {
+        height_v: f64,
+        width_c: f64,
+        exponent: f64,
+        back: f64,
+        z: f64,
+    },
+    Preisach(Preisach),
+}
+
+/// Preisach operator by its Everett function E(d, m): rise of the voltage after a reversal, over the distance d from it.
+#[derive(Clone, Debug)]
+struct Preisach {
+    height_v: f64,
+    width_c: f64,
+    skew_per_c: f64,
+    /// Reversals (charge, voltage), oldest first; the last one is where the present branch began.
+    turns: Vec<(f64, f64)>,
+    rising: bool,
+    voltage_v: f64,
+}
+
+impl Preisach {
+    /// Voltage and slope at charge `q` on the present branch.
+    fn branch(&self, q: f64) -> (f64, f64) {
+        let (from, start) = self.turns.last().copied().unwrap_or((0.0, 0.0));
+        let distance = (q - from).abs();
+        let middle = 1.0 + self.skew_per_c * 0.5 * (q + from);
+        // Steep at first, then saturating: E = 2 h d / (d + 2 w), the way a Maxwell sum with decreasing stiffness goes.
+        let scale = distance + 2.0 * self.width_c;
+        let rise = 2.0 * self.height_v * distance / scale;
+        let slope = 4.0 * self.height_v * self.width_c / (scale * scale);
+        let sign = if q >= from { 1.0 } else { -1.0 };
+        (start + sign * rise * middle, slope * middle + sign * rise * self.skew_per_c * 0.5)
+    }
+
+    fn at(&self, q: f64, last: f64) -> (f64, f64) {
+        let mut copy = None;
+        if (q > last) != self.rising && q != last {
+            let mut turned = self.clone();
+            turned.turn(last);
+            copy = Some(turned);
+        }
+        let operator = copy.as_mut().map_or_else(|| self.clone(), |c| c.clone());
+        let mut operator = operator;
+        operator.wipe(q);
+        operator.branch(q)
+    }
+
+    fn turn(&mut self, at: f64) {
+        self.turns.push((at, self.voltage_v));
+        self.rising = !self.rising;
+    }
+
+    /// Wiping out: passing an earlier extremum closes the minor loop and continues the branch before it.
+    fn wipe(&mut self, q: f64) {
+        while self.turns.len() >= 3 {
+            let earlier = self.turns[self.turns.len() - 2].0;
+            let passed = if self.rising { q > earlier } else { q < earlier };
+            if !passed {
+                break;
+            }
+            self.turns.truncate(self.turns.len() - 2);
+        }
+    }
+
+    fn commit(&mut self, q: f64, last: f64) {
+        if q == last {
+            return;
+        }
+        if (q > last) != self.rising {
+            self.turn(last);
+        }
+        self.wipe(q);
+        self.voltage_v = self.branch(q).0;
+        // A memory of 64 nested reversals is beyond what any excitation here writes; the innermost ones are the smallest.
+        if self.turns.len() > 64 {
+            self.turns.drain(1..3);
+        }
+    }
+}
+
+impl Hysteresis {
+    /// The nominal stack's: a play for each slip element.
+    pub fn nominal(axis: &Axis) -> Self {
+        let play = |&(capacitance, limit): &(f64, f64)| {
+            let half = capacitance * limit;
+            Play { slope: 1.0 / capacitance, up_c: half, down_c: half, center_c: 0.0 }
+        };
+        Self { class: Class::Plays(axis.slip.iter().map(play).collect()), charge_c: 0.0 }
+    }
+
+    /// Many plays with uneven widths and slopes, optionally wider on the way down: the sum is `size` times the nominal height
+    /// where every play slips.
+    pub fn uneven(axis: &Axis, size: f64, skew: f64, rng: &mut impl Rng) -> Self {
+        let (height, widest) = envelope(axis);
+        let count = rng.random_range(20..60);
+        let bend: f64 = rng.random_range(-0.6..0.6);
+        let mut plays = Vec::new();
+        for index in 0..count {
+            let along = (f64::from(index) + rng.random_range(0.2..0.8)) / f64::from(count);
+            let width = widest * along.powf(1.0 + bend.abs()) + 1e-8;
+            // Weight of the voltage limits: more in small or in large plays.
+            let weight = 1.0 + bend * (2.0 * along - 1.0);
+            plays.push((width, weight * along));
+        }
+        let sum: f64 = plays.iter().map(|(_, weight)| weight).sum();
+        let plays = plays.into_iter().map(|(width, weight)| {
+            let limit = size * height * weight / sum;
+            Play {
+                slope: limit / width,
+                up_c: width * (1.0 - skew),
+                down_c: width * (1.0 + skew),
+                center_c: 0.0,
+            }
+        });
+        Self { class: Class::Plays(plays.collect()), charge_c: 0.0 }
+    }
+
+    /// Bouc-Wen loop whose height is `size` times the nominal one.
+    pub fn bouc_wen(axis: &Axis, size: f64, rng: &mut impl Rng) -> Self {
+        let (height, widest) = envelope(axis);
+        let class = Class::BoucWen {
+            height_v: size * height,
+            width_c: widest * rng.random_range(0.4..0.7),
+            exponent: rng.random_range(0.8..1.3),
+            back: rng.random_range(0.5..0.95),
+            z: 0.0,
+        };
+        Self { class, charge_c: 0.0 }
+    }
+
+    /// Preisach operator (Everett form) whose height is `size` times the nominal one.
+    pub fn preisach(axis: &Axis, size: f64, rng: &mut impl Rng) -> Self {
+        let (height, widest) = envelope(axis);
+        let operator = Preisach {
+            height_v: 1.3 * size * height,
+            width_c: widest * rng.random_range(0.35..0.6),
+            skew_per_c: rng.random_range(-0.15..0.15) / 2e-4,
+            turns: vec![(0.0, 0.0)],
+            rising: true,
+            voltage_v: 0.0,
+        };
+        Self { class: Class::Preisach(operator), charge_c: 0.0 }
+    }
+
+    /// Voltage (V) and slope (V/C) if the charge went to `q` now.
+    pub fn at(&self, q: f64) -> (f64, f64) {
+        match &self.class {
+            Class::Plays(plays) => {
+                let (mut voltage, mut slope) = (0.0, 0.0);
+                for play in plays {
+                    let stretch = q - play.center_c;
+                    let held = stretch.clamp(-play.down_c, play.up_c);
+                    voltage += play.slope * held;
+                    slope += if held == stretch { play.slope } else { 0.0 };
+                }
+                (voltage, slope)
+            }
+            &Class::BoucWen { height_v, width_c, exponent, back, z } => {
+                let slope = bouc_wen_slope(z, q - self.charge_c, width_c, exponent, back);
+                (height_v * (z + slope * (q - self.charge_c)), height_v * slope)
+            }
+            Class::Preisach(operator) => operator.at(q, self.charge_c),
+        }
+    }
+
+    /// Moves to charge `q` and remembers it.
+    pub fn commit(&mut self, q: f64) {
+        let last = self.charge_c;
+        match &mut self.class {
+            Class::Plays(plays) => {
+                for play in plays {
+                    play.center_c = play.center_c.clamp(q - play.up_c, q + play.down_c);
+                }
+            }
+            Class::BoucWen { width_c, exponent, back, z, .. } => {
+                let slope = bouc_wen_slope(*z, q - last, *width_c, *exponent, *back);
+                *z = (*z + slope * (q - last)).clamp(-1.0, 1.0);
+            }
+            Class::Preisach(operator) => operator.commit(q, last),
+        }
+        self.charge_c = q;
+    }
+
+    /// Charge now (C).
+    pub fn charge_c(&self) -> f64 {
+        self.charge_c
+    }
+
+    /// Leaves a random memory: what an unknown past between about -10 and 90 V has written.
+    pub fn scramble(&mut self, rng: &mut impl Rng) {
+        let mut swing = 1.9e-4;
+        while swing > 2e-6 {
+            let q = swing * rng.random_range(-0.1..1.0);
+            // In small steps: the Bouc-Wen state is a differential one.
+            let from = self.charge_c;
+            for step in 1..=200 {
+                self.commit(from + (q - from) * f64::from(step) / 200.0);
+            }
+            swing *= rng.random_range(0.3..0.9);
+        }
+        // Half of the time a memory that no simple past would write: each play anywhere in its reach.
+        let apart = rng.random_bool(0.5);
+        if let (Class::Plays(plays), true) = (&mut self.class, apart) {
+            for play in plays {
+                play.center_c = self.charge_c + rng.random_range(-play.up_c..play.down_c);
+            }
+        }
+    }
+}
+
+fn bouc_wen_slope(z: f64, dq: f64, width_c: f64, exponent: f64, back: f64) -> f64 {
+    // gamma + beta = 1 keeps |z| <= 1; on the way back (z dq < 0) the loop opens with slope 1 + (beta - gamma) |z|^n.
+    let magnitude = z.abs().powf(exponent);
+    let factor = if z * dq >= 0.0 { 1.0 - magnitude } else { 1.0 + (2.0 * back - 1.0) * magnitude };
+    factor.max(0.0) / width_c
+}
+
+/// Height (V) of the nominal loop's flank and charge (C) at which every element slips.
+fn envelope(axis: &Axis) -> (f64, f64) {
+    let height = axis.slip.iter().map(|slip| slip.1).sum();
+    let widest = axis.slip.iter().map(|slip| slip.0 * slip.1).fold(0.0, f64::max);
+    (height, widest)
+}

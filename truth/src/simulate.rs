@@ -1,0 +1,404 @@
+//! Runs a world through an experiment.
+//!
+//! Fixed steps of 12.5 us (8 to a tick at 10 kHz), half of that where masses were added; implicit (average acceleration) in the mechanics and in the
+//! stack's charge together, so that the 32 kHz mode of stack and mechanism is followed without a limit on the step. Only the
+//! neighbours' forces, small against the stack's stiffness, enter explicitly.
+
+use std::f64::consts::TAU;
+
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
+use recording::{Meta, Recording};
+
+use crate::excitation::{Drive, Experiment};
+use crate::world::{AxisWorld, Rate, World};
+
+/// How finely, and whether converters and noise are there.
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    /// Longest step (s).
+    pub step_s: f64,
+    /// Whether gauge and monitor have noise and steps.
+    pub noise: bool,
+}
+
+impl Options {
+    /// For recordings.
+    pub const FINE: Self = Self { step_s: 12.5e-6, noise: true };
+    /// For finding out how large an effect is.
+    pub const ROUGH: Self = Self { step_s: 25e-6, noise: false };
+}
+
+/// What moves fast, per axis; starts anew with each file.
+struct Moving {
+    command: Vec<f32>,
+    pole_v: f64,
+    output_v: f64,
+    hum_v: f64,
+    position_m: f64,
+    speed: f64,
+    acceleration: f64,
+    voltage_z: f64,
+    charge_rate: f64,
+    creep_v: f64,
+    creep_table: Vec<(f64, f64)>,
+    branches: Vec<f64>,
+    modes: Vec<(f64, f64)>,
+    friction_n: f64,
+    filter: (f64, f64),
+    outside_n: f64,
+    /// Delay of the command (steps), and shares by which the poles approach their targets in a step.
+    delay_steps: f64,
+    amplifier_share: f64,
+    second_share: f64,
+    branch_shares: Vec<f64>,
+    gauge_share: f64,
+}
+
+/// Runs one experiment; slow states and faults of `world` run on, the rest starts anew with a random memory of the stacks.
+///
+/// `idle_s` is the time since the last experiment ended, with the drives at 0 V.
+pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Options) -> Recording {
+    let axes = world.axes.len();
+    let rate = experiment.sample_rate_hz;
+    // Added masses bring modes of some kilohertz, which want finer steps; where samples are slow, nothing fast is seen.
+    let fast =
+        world.axes.iter().any(|axis| !axis.modes.is_empty() || axis.constants.mass_kg > 5e-3);
+    let longest = options.step_s * if fast { 0.5 } else { (rate / 2500.0).recip().clamp(1.0, 4.0) };
+    let steps = (1.0 / (rate * longest)).ceil().max(1.0) as usize;
+    let dt = 1.0 / (rate * steps as f64);
+    // Neighbours' forces at the new time by extrapolation; coarse steps would amplify the 32 kHz ringing through it.
+    let ahead = if dt < 15e-6 { dt } else { 0.0 };
+    let mut rng = StdRng::seed_from_u64(experiment.seed);
+    let mut moving: Vec<Moving> = Vec::new();
+    for (index, axis) in world.axes.iter_mut().enumerate() {
+        let mut memory = StdRng::seed_from_u64(experiment.seed ^ (0x5eed << 20) ^ index as u64);
+        axis.hysteresis.scramble(&mut memory);
+        if let Some(creep) = &mut axis.creep {
+            let table = creep.table(idle_s);
+            creep.step(&table, 0.0);
+        }
+        moving.push(Moving {
+            command: Vec::with_capacity(experiment.ticks()),
+            pole_v: 0.0,
+            output_v: 0.0,
+            hum_v: 0.0,
+            position_m: 0.0,
+            speed: 0.0,
+            acceleration: 0.0,
+            voltage_z: 0.0,
+            charge_rate: 0.0,
+            creep_v: 0.0,
+            creep_table: axis.creep.as_ref().map_or_else(Vec::new, |creep| creep.table(1.0 / rate)),
+            branches: vec![0.0; axis.branches.len()],
+            modes: vec![(0.0, 0.0); axis.modes.len()],
+            friction_n: 0.0,
+            filter: (0.0, 0.0),
+            outside_n: 0.0,
+            delay_steps: 0.0,
+            amplifier_share: share(dt, axis.constants.amplifier_s),
+            second_share: share(dt, axis.second_pole_s.max(1e-12)),
+            branch_shares: axis.branches.iter().map(|&(_, time)| share(dt, time)).collect(),
+            gauge_share: axis
+                .lowpass
+                .map_or(1.0, |lowpass| share(dt, 1.0 / (TAU * lowpass.corner_hz))),
+        });
+    }
+
+    let meta = Meta {
+        experiment: experiment.name.clone(),
+        sample_rate_hz: rate,
+        settle_s: experiment.settle_s,
+        start_s: experiment.start_s,
+        rig: world.name.clone(),
+        period_s: experiment.period_s,
+        initial_position_um: None,
+    };
+    let mut recording = Recording::empty(meta, axes);
+    let ticks = experiment.ticks();
+    recording.tick = (0..ticks as u64).collect();
+    let mut positions = vec![Vec::with_capacity(ticks); axes];
+    let mut monitors = vec![Vec::with_capacity(ticks); axes];
+    let mut integral = vec![0.0; axes];
+    let closed = matches!(experiment.drive, Drive::Closed { .. });
+    let mut references = vec![Vec::new(); axes];
+
+    let (mut commands, mut displacements) = (vec![0.0; axes], vec![0.0; axes]);
+
+    for tick in 0..ticks {
+        let time = experiment.start_s + tick as f64 / rate;
+        // Sampled first: this tick's drive has not acted yet.
+        let seen: Vec<f64> = (0..axes)
+            .map(|axis| {
+                let own = moving[axis].position_m;
+                let others =
+                    (0..axes).map(|from| world.sensor_cross[axis][from] * moving[from].position_m);
+                own + others.sum::<f64>()
+            })
+            .collect();
+        for (index, (axis, state)) in world.axes.iter_mut().zip(&mut moving).enumerate() {
+            let mut reading = gauge(axis, state, seen[index], time);
+            for fault in world.faults.iter_mut().filter(|fault| fault.axis == index) {
+                reading = fault.reading(tick, time, reading);
+            }
+            let mut monitor = state.output_v;
+            let constants = &axis.constants;
+            if options.noise {
+                reading += constants.noise_m * rng.sample::<f64, _>(StandardNormal);
+                monitor += constants.monitor_v.0 * rng.sample::<f64, _>(StandardNormal);
+                if constants.resolution_m > 0.0 {
+                    reading = (reading / constants.resolution_m).round() * constants.resolution_m;
+                }
+                if constants.monitor_v.1 > 0.0 {
+                    monitor = (monitor / constants.monitor_v.1).round() * constants.monitor_v.1;
+                }
+            }
+            let measured_um = reading * 1e6;
+            positions[index].push(measured_um as f32);
+            monitors[index].push(monitor as f32);
+            let command = match &experiment.drive {
+                Drive::Open(tables) => tables[index][tick],
+                Drive::Closed { settle, reference_um, proportional, integral: gain } => {
+                    let wanted = reference_um[index][tick];
+                    references[index].push(wanted);
+                    match settle.get(tick) {
+                        Some(&volts) => volts,
+                        None => {
+                            let error = f64::from(wanted) - measured_um;
+                            integral[index] += gain * error / rate;
+                            let volts =
+                                f64::from(wanted) * 8.8 + proportional * error + integral[index];
+                            volts.clamp(0.0, 120.0) as f32
+                        }
+                    }
+                }
+            };
+            state.command.push(command);
+            state.outside_n = 0.0;
+            for fault in world.faults.iter_mut().filter(|fault| fault.axis == index) {
+                state.outside_n += fault.force(tick, time);
+            }
+            if let Some(creep) = &mut axis.creep {
+                state.creep_v = creep.step(&state.creep_table, state.voltage_z);
+            }
+        }
+        // Dead times in steps; a wandering one is looked up each tick.
+        for (index, state) in moving.iter_mut().enumerate() {
+            let faults = world.faults.iter_mut().filter(|fault| fault.axis == index);
+            let wander: f64 = faults.map(|fault| fault.dead_time(tick, time, 1.0 / rate)).sum();
+            state.delay_steps = ((world.axes[index].delay_s + wander) / dt).max(0.0);
+        }
+        for step in 0..steps {
+            let now = tick * steps + step;
+            let time = time + step as f64 * dt;
+            for ((command, displacement), state) in
+                commands.iter_mut().zip(&mut displacements).zip(&moving)
+            {
+                let then = if state.delay_steps > 0.0 {
+                    ((now as f64 + 0.5 - state.delay_steps).max(0.0) as usize / steps).min(tick)
+                } else {
+                    tick
+                };
+                *command = f64::from(state.command[then]);
+                *displacement = state.position_m + ahead * state.speed;
+            }
+            for index in 0..axes {
+                let axis = &mut world.axes[index];
+                let mut asked = axis.drive.0 * commands[index] + axis.drive.1;
+                for from in 0..axes {
+                    asked += world.drive_cross[index][from] * commands[from];
+                }
+                for fault in world.faults.iter_mut().filter(|fault| fault.axis == index) {
+                    asked = fault.drive(tick, time, asked);
+                }
+                let mut force = moving[index].outside_n;
+                for from in 0..axes {
+                    if from != index {
+                        force -= world.stiffness_cross[index][from] * displacements[from];
+                    }
+                }
+                amplifier(axis, &mut moving[index], asked, time, dt);
+                mechanics(axis, &mut moving[index], force, dt);
+            }
+        }
+    }
+    recording.drive_v = moving.into_iter().map(|state| state.command).collect();
+    recording.position_um = positions.into_iter().map(Some).collect();
+    if experiment.monitor {
+        recording.monitor_v = monitors.into_iter().map(Some).collect();
+    }
+    if closed {
+        recording.reference_um = references.into_iter().map(Some).collect();
+    }
+    recording
+}
+
+/// Share of the way that a first-order lag covers in a step.
+fn share(dt: f64, time_s: f64) -> f64 {
+    -(-dt / time_s).exp_m1()
+}
+
+/// What the gauge's conditioner says, before noise and converter.
+fn gauge(axis: &AxisWorld, state: &Moving, seen: f64, time: f64) -> f64 {
+    let x = if axis.lowpass.is_some() { state.filter.0 } else { seen };
+    let bend = axis.bend.map_or(0.0, |bend| bend.at(x));
+    let drift = axis.drift.map_or(0.0, |drift| drift.at(time));
+    axis.sensor.0 * x + axis.sensor.1 + bend + drift + axis.sensor_hum.at(time)
+}
+
+/// One step of the amplifier: pole or poles, current, rails, mains.
+fn amplifier(axis: &AxisWorld, state: &mut Moving, asked: f64, time: f64, dt: f64) {
+    let (low, high, knee) = axis.clip;
+    let asked = if knee > 0.0 {
+        // A soft knee of this width at either rail.
+        let over = |x: f64| knee * (x / knee).exp().ln_1p();
+        if asked > high - 20.0 * knee {
+            asked - over(asked - high)
+        } else if asked < low + 20.0 * knee {
+            asked + over(low - asked)
+        } else {
+            asked
+        }
+    } else {
+        asked.clamp(low, high)
+    };
+    let target = if axis.second_pole_s > 0.0 {
+        state.pole_v += (asked - state.pole_v) * state.second_share;
+        state.pole_v
+    } else {
+        asked
+    };
+    let mut rise = (target - state.output_v + state.hum_v) * state.amplifier_share;
+    let (limit_a, soft) = axis.current;
+    if limit_a.is_finite() {
+        // Charge by charge: what the stack takes a volt depends on its memory and on the load.
+        let constants = &axis.constants;
+        let stiffness = constants.stiffness_n_per_m + constants.mechanism_n_per_m;
+        let linear = constants.capacitance_f + constants.transformer_n_per_v.powi(2) / stiffness;
+        let (_, slope) = axis.hysteresis.at(axis.hysteresis.charge_c() + rise.signum() * 1e-9);
+        let most = limit_a * dt * (slope + 1.0 / linear);
+        rise = if soft { most * (rise / most).tanh() } else { rise.clamp(-most, most) };
+    }
+    let free = state.output_v - state.hum_v + rise;
+    state.hum_v = axis.amplifier_hum.at(time + dt);
+    state.output_v = free + state.hum_v;
+}
+
+/// One step of stack and mechanism under the amplifier's output.
+fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside_n: f64, dt: f64) {
+    let constants = &axis.constants;
+    let transformer = constants.transformer_n_per_v;
+    let mut stiffness = constants.stiffness_n_per_m + constants.mechanism_n_per_m;
+    let mut damping = constants.damping_n_s_per_m;
+    let mut force = outside_n + transformer * state.creep_v;
+    // Each of these is linear in the new position: value and slope at the old one.
+    let here = state.position_m;
+    if let Some((hard, scale, exponent)) = axis.hardening {
+        let along = here.abs() / scale;
+        let slope = hard * exponent * along.powf(exponent - 1.0);
+        force -= hard * scale * along.powf(exponent) * here.signum() - slope * here;
+        stiffness += slope;
+    }
+    if let Some((lost, point, width, from_rest)) = axis.contact {
+        // Smooth minimum of zero and the distance above the contact point, and its slope.
+        let below = |x: f64| {
+            let z = ((point - x) / width).clamp(-700.0, 700.0);
+            (if z > 40.0 { x - point } else { -width * z.exp().ln_1p() }, 1.0 / (1.0 + (-z).exp()))
+        };
+        let zero = if from_rest { below(0.0).0 } else { 0.0 };
+        let (value, slope) = below(here);
+        force += lost * (value - zero - slope * here);
+        stiffness -= lost * slope;
+    }
+    for (deflection, (branch, _)) in state.branches.iter().zip(&axis.branches) {
+        stiffness += branch;
+        force += branch * deflection;
+    }
+    for ((y, speed), mode) in state.modes.iter().zip(&axis.modes) {
+        let (spring, damper) =
+            (mode.mass_kg * mode.omega * mode.omega, 2.0 * mode.zeta * mode.omega * mode.mass_kg);
+        stiffness += spring;
+        damping += damper;
+        force += spring * y + damper * speed;
+    }
+    let mut bristles = None;
+    if let Some(friction) = axis.friction {
+        let speed = state.speed;
+        let stribeck = (-(speed / friction.stribeck_m_per_s).powi(2)).exp();
+        let level = friction.coulomb_n * (1.0 + (friction.breakaway - 1.0) * stribeck);
+        let bristle = friction.coulomb_n / friction.presliding_m;
+        let slope = (bristle * (1.0 - state.friction_n / level * speed.signum())).max(0.0);
+        // Linear in the new position, so that stiff bristles do not limit the step.
+        stiffness += slope;
+        force -= state.friction_n - slope * here;
+        bristles = Some((slope, level));
+    }
+
+    // Average acceleration: x1 = xp + h a1, v1 = vp + dt/2 a1; the charge couples in linearly.
+    let h = 0.25 * dt * dt;
+    let xp = state.position_m + dt * state.speed + h * state.acceleration;
+    let vp = state.speed + 0.5 * dt * state.acceleration;
+    let inertia = constants.mass_kg + 0.5 * dt * damping + h * stiffness;
+    let rest = force - stiffness * xp - damping * vp;
+    let base = transformer * (xp + h * rest / inertia);
+    let taken = constants.capacitance_f + transformer * h * transformer / inertia;
+
+    let factor = match axis.rate {
+        Rate::PerDecade(growth) => 1.0 + growth * (1.0 + state.charge_rate.abs() / 1e-4).log10(),
+        _ => 1.0,
+    };
+    let extra = match axis.rate {
+        Rate::Power(volts, power) => {
+            volts * (state.charge_rate.abs() / 1e-3).powf(power) * state.charge_rate.signum()
+        }
+        _ => 0.0,
+    };
+    // One scalar equation for the charge, monotone: Newton on the branch that the last step suggests.
+    let wanted = state.output_v - extra;
+    let last = axis.hysteresis.charge_c();
+    let mut q = last + state.charge_rate * dt;
+    for _ in 0..12 {
+        let (voltage, slope) = axis.hysteresis.at(q);
+        let residual = factor * voltage + (q - base) / taken - wanted;
+        let change = residual / (factor * slope + 1.0 / taken);
+        q -= change;
+        if change.abs() < 1e-13 {
+            break;
+        }
+    }
+    axis.hysteresis.commit(q);
+    // A rate over a tenth of a millisecond: dissipation does not follow the 32 kHz ringing.
+    state.charge_rate += ((q - last) / dt - state.charge_rate) * (dt / 1e-4).min(1.0);
+    state.voltage_z = (q - base) / taken;
+    let acceleration = (transformer * state.voltage_z + rest) / inertia;
+    state.position_m = xp + h * acceleration;
+    state.speed = vp + 0.5 * dt * acceleration;
+    state.acceleration = acceleration;
+    if let Some((slope, level)) = bristles {
+        state.friction_n =
+            (state.friction_n + slope * (state.position_m - here)).clamp(-level, level);
+    }
+    for (deflection, share) in state.branches.iter_mut().zip(&state.branch_shares) {
+        *deflection += (state.position_m - *deflection) * share;
+    }
+    for ((y, speed), mode) in state.modes.iter_mut().zip(&axis.modes) {
+        let pull = mode.omega * mode.omega * (state.position_m - *y)
+            + 2.0 * mode.zeta * mode.omega * (state.speed - *speed);
+        *speed += dt * pull;
+        *y += dt * *speed;
+    }
+
+    if let Some(lowpass) = axis.lowpass {
+        let omega = TAU * lowpass.corner_hz;
+        let (y, slope) = &mut state.filter;
+        if lowpass.second_order {
+            *slope += dt
+                * (omega * omega * (state.position_m - *y)
+                    - std::f64::consts::SQRT_2 * omega * *slope);
+            *y += dt * *slope;
+        } else {
+            *y += (state.position_m - *y) * state.gauge_share;
+        }
+    }
+}

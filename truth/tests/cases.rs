@@ -1,0 +1,52 @@
+//! What is drawn is what is written: sizes, repeatability, speed, and every effect and fault does something.
+
+use std::collections::BTreeSet;
+
+use truth::case::{Case, Draw, Sessions};
+use truth::effects::EFFECTS;
+
+fn draw(only: &str, weights: [f64; 4]) -> Draw {
+    let only = if only.is_empty() { Vec::new() } else { vec![only.to_string()] };
+    Draw { weights, only, sessions: Sessions::Probe, ..Draw::default() }
+}
+
+#[test]
+fn every_effect_reaches_the_wanted_gap() {
+    for effect in &EFFECTS {
+        let case = Case::draw(11, 1, &draw(effect.name, [0.0, 1.0, 0.0, 0.0]));
+        let truth = &case.label.truth[0];
+        assert_eq!((truth.effect.as_str(), truth.stage.as_str()), (effect.name, effect.stage));
+        println!(
+            "{}: {:.2} x noise, axes {:?}, {}",
+            truth.effect, truth.ratio, truth.axes, truth.note
+        );
+        assert!((3.0..=60.0).contains(&truth.ratio), "{}: {}", effect.name, truth.ratio);
+        for recording in case.session.iter().chain(&case.judging) {
+            recording.check(effect.name.as_ref()).unwrap();
+        }
+    }
+}
+
+#[test]
+fn the_same_numbers_give_the_same_case_and_others_do_not() {
+    let draw = Draw { other_rigs: true, ..Draw::default() };
+    let first = Case::draw(5, 3, &draw);
+    let again = Case::draw(5, 3, &draw);
+    assert_eq!(first.label, again.label);
+    assert_eq!(first.session, again.session);
+    assert_ne!(first.session, Case::draw(5, 4, &draw).session);
+}
+
+#[test]
+fn unknown_faults_are_of_many_kinds_and_visible() {
+    let mut kinds = BTreeSet::new();
+    for index in 0..12 {
+        let case = Case::draw(3, index, &draw("", [0.0, 0.0, 0.0, 1.0]));
+        let truth = &case.label.truth[0];
+        println!("{} {:.2} x noise", truth.note, truth.ratio);
+        assert_eq!(truth.effect, "unknown");
+        assert!(truth.ratio > 1.0, "{} {}", truth.note, truth.ratio);
+        kinds.insert(truth.note.split(',').next().unwrap().to_string());
+    }
+    assert!(kinds.len() >= 5, "{kinds:?}");
+}
