@@ -445,13 +445,28 @@ impl Table {
     pub fn set(&mut self, points: &[f32]) -> Result<(), SettingsError> {
         let check = Check::new("table");
         check.range("points", points.len() as f32, 4.0, TABLE_POINTS as f32, "points")?;
+        self.write(0, points)?;
+        self.set_len(points.len())
+    }
+    /// Take over some points, each from -1 to 1, from index `offset` on; the number of points in use stays. Nothing changes if one
+    /// of them cannot be used.
+    pub fn write(&mut self, offset: usize, points: &[f32]) -> Result<(), SettingsError> {
+        let check = Check::new("table");
+        let end = offset.saturating_add(points.len());
+        check.range("points", end as f32, 0.0, TABLE_POINTS as f32, "points")?;
         for point in points {
             check.range("points", *point, -1.0, 1.0, "of the amplitude")?;
         }
-        for (to, from) in self.points.iter_mut().zip(points) {
+        for (to, from) in self.points.iter_mut().skip(offset).zip(points) {
             *to = (from * ONE_Q30 as f32) as i32;
         }
-        self.len = points.len() as u32;
+        Ok(())
+    }
+    /// Use this many points.
+    pub fn set_len(&mut self, len: usize) -> Result<(), SettingsError> {
+        let check = Check::new("table");
+        check.range("points", len as f32, 4.0, TABLE_POINTS as f32, "points")?;
+        self.len = len as u32;
         Ok(())
     }
     /// Number of points.

@@ -170,6 +170,10 @@ bits! {
         MONITOR = 7, "the amplifier output differs from the commanded voltage: check that it is on, its gain and its current limit";
         /// Position outside its limits.
         TRAVEL = 8, "the measured position is outside the travel limits";
+        /// A converter delivered no new samples.
+        CONVERTER = 9, "a converter of the board delivers no samples: restart the board and read its self-test";
+        /// The tasks beside the control loop do not run, or crashed.
+        STARVED = 10, "the board's background tasks stopped: it restarts by itself; read the crash report afterwards";
     }
 }
 

@@ -193,42 +193,39 @@ fn acknowledge(adc: pac::adc::Adc) {
     adc.isr().write_value(pac::adc::regs::Isr(0x60));
 }
 
-/// Codes of one tick.
+/// Latest code of every input.
+#[derive(Clone, Copy)]
 pub struct Codes {
     /// Gauges.
     pub gauge: [u16; AXES],
     /// Amplifier monitors.
     pub monitor: [u16; AXES],
-    /// Bit i: converter i + 1 delivered nothing since the last call.
-    pub missing: u8,
 }
 
-/// Reads all results and acknowledges them. A converter that delivered nothing reads as code 0, the lower end of its range.
+/// Takes over and acknowledges the results of all converters that have one. Bit i of the result: converter i + 1 has none, and
+/// its codes are left as they were.
 #[inline(always)]
-pub fn take() -> Codes {
+pub fn take(codes: &mut Codes) -> u32 {
+    let [gauge_1, gauge_2, gauge_3] = &mut codes.gauge;
+    let [monitor_1, monitor_2, monitor_3] = &mut codes.monitor;
     let mut missing = 0;
-    let mut fresh = |adc: pac::adc::Adc, bit: u8| {
-        let fresh = adc.isr().read().jeos();
-        acknowledge(adc);
-        if !fresh {
-            missing |= bit;
-        }
-        fresh
-    };
-    let ready = [
-        fresh(pac::ADC1, 1),
-        fresh(pac::ADC2, 2),
-        fresh(pac::ADC3, 4),
-        fresh(pac::ADC4, 8),
-        fresh(pac::ADC5, 16),
-    ];
-    let [one, two, three, four, five] = ready;
-    let read = |ready: bool, adc: pac::adc::Adc, rank: usize| {
-        if ready { adc.jdr(rank).read().jdata() } else { 0 }
-    };
-    Codes {
-        gauge: [read(one, pac::ADC1, 0), read(two, pac::ADC2, 0), read(three, pac::ADC3, 0)],
-        monitor: [read(four, pac::ADC4, 0), read(four, pac::ADC4, 1), read(five, pac::ADC5, 0)],
-        missing,
+    missing |= take_one(pac::ADC1, gauge_1, None);
+    missing |= take_one(pac::ADC2, gauge_2, None) << 1;
+    missing |= take_one(pac::ADC3, gauge_3, None) << 2;
+    missing |= take_one(pac::ADC4, monitor_1, Some(monitor_2)) << 3;
+    missing |= take_one(pac::ADC5, monitor_3, None) << 4;
+    missing
+}
+
+#[inline(always)]
+fn take_one(adc: pac::adc::Adc, first: &mut u16, second: Option<&mut u16>) -> u32 {
+    if !adc.isr().read().jeos() {
+        return 1;
     }
+    acknowledge(adc);
+    *first = adc.jdr(0).read().jdata();
+    if let Some(second) = second {
+        *second = adc.jdr(1).read().jdata();
+    }
+    0
 }

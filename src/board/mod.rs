@@ -1,10 +1,187 @@
-//! The controller board.
-pub mod converters;
-pub mod critical;
-pub mod outputs;
-pub mod timebase;
+//! The controller board: the only code that knows embassy and registers.
+//!
+//! ```text
+//! TIM6 --TRGO--> ADC1..ADC5 --JEOS--> tick (P0, CCM) --> DAC1, DAC2 (latched by the next TRGO)
+//!   \--------------------------------------^   |
+//!                                              v records
+//!                    host <-- USB <-- frames <-- pump       commands --> session --> orders --> tick
+//! ```
+//!
+//! [`tick`] is the control interrupt, alone at the highest priority; [`usb`] the link, on an interrupt executor below it;
+//! the watch and the lamps run on the thread executor. Wiring, clock tree, memory map and what was never run on silicon:
+//! `docs/board.md`.
 
-/// Runs the firmware.
+
+use defmt_rtt as _;
+use embassy_executor::{Executor, InterruptExecutor};
+use embassy_stm32::interrupt;
+use static_cell::StaticCell;
+
+use crate::link::Identity;
+use crate::link::identity::self_test;
+use crate::{AXES, Config, Faults, Settings, TICK_HZ, store};
+
+pub mod clocks;
+pub mod converters;
+pub mod crash;
+pub mod critical;
+pub mod device;
+pub mod flash;
+pub mod outputs;
+pub mod priorities;
+pub mod stack;
+pub mod tasks;
+pub mod tick;
+pub mod timebase;
+pub mod usb;
+
+/// Firmware version: that of the package.
+pub const VERSION: [u8; 3] = [
+    decimal(env!("CARGO_PKG_VERSION_MAJOR")),
+    decimal(env!("CARGO_PKG_VERSION_MINOR")),
+    decimal(env!("CARGO_PKG_VERSION_PATCH")),
+];
+
+const fn decimal(text: &str) -> u8 {
+    let bytes = text.as_bytes();
+    let mut value = 0;
+    let mut i = 0;
+    while i < bytes.len() {
+        value = value * 10 + (bytes[i] - b'0');
+        i += 1;
+    }
+    value
+}
+
+defmt::timestamp!("{=u64:us}", embassy_time::Instant::now().as_micros());
+
+static USB_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
+
+/// Runs the USB tasks; pended by their wakers.
+#[interrupt]
+unsafe fn UART4() {
+    // SAFETY: this is the interrupt that the executor was started with.
+    unsafe { USB_EXECUTOR.on_interrupt() }
+}
+
+unsafe extern "C" {
+    static mut __sccm: u32;
+    static mut __eccm: u32;
+    static __siccm: u32;
+}
+
+/// Copies the tick from flash to CCM RAM.
+fn load_ccm() {
+    let (start, end) = (&raw mut __sccm, &raw mut __eccm);
+    let words = (end as usize - start as usize) / 4;
+    // SAFETY: the linker script reserves both ranges, aligned, of the same length; nothing in CCM runs yet.
+    unsafe { core::ptr::copy_nonoverlapping(&raw const __siccm, start, words) };
+    cortex_m::asm::dsb();
+    cortex_m::asm::isb();
+}
+
+/// Starts the board and runs it for ever.
 pub fn run() -> ! {
-    loop {}
+    crash::enter_dfu_if_asked();
+    outputs::park_at_reset();
+    stack::paint();
+    load_ccm();
+    let report = crash::take_report();
+    let (p, has_crystal) = clocks::start();
+    priorities::set();
+    timebase::start_cycle_counter();
+    defmt::info!(
+        "flexstage {=u8}.{=u8}.{=u8}, reset flags {=u8:#x}, restart {=u16}",
+        VERSION[0],
+        VERSION[1],
+        VERSION[2],
+        report.reset_flags,
+        report.restarts
+    );
+    if report.has_message {
+        defmt::error!("the last run crashed: {=str}", crash::message().as_str());
+    }
+
+    let failed = converters::start() | if has_crystal { 0 } else { self_test::CRYSTAL };
+    for words in self_test::describe(failed) {
+        defmt::error!("self-test: {=str}", words);
+    }
+
+    static SETTINGS: StaticCell<Settings> = StaticCell::new();
+    static SCRATCH: StaticCell<[u8; store::MAX_PAYLOAD]> = StaticCell::new();
+    let flash = flash::Bank2::new();
+    let (settings, config, is_stored, faults) = load_settings(&flash);
+    let settings = SETTINGS.init(settings);
+    let digest = config.digest();
+
+    let ends = tick::init(config, faults);
+    outputs::latch_on_trigger();
+    converters::run_on_trigger();
+    timebase::start();
+    priorities::enable_tick();
+
+    let identity = Identity {
+        schema: crate::link::message::SCHEMA_HASH,
+        firmware: VERSION,
+        axes: AXES as u8,
+        serial: embassy_stm32::uid::uid(),
+        sample_rate_hz: TICK_HZ,
+        core_hz: timebase::CORE_HZ,
+        reset_flags: report.reset_flags,
+        has_crash_report: report.has_message.into(),
+        has_stored_config: is_stored.into(),
+        self_test: failed,
+        restarts: report.restarts,
+    };
+    let board = device::Board {
+        orders: ends.orders,
+        answers: ends.answers,
+        settings,
+        is_stored,
+        digest,
+        flash,
+        scratch: SCRATCH.init_with(|| [0; store::MAX_PAYLOAD]),
+        identity,
+        report,
+    };
+
+    // The executor's interrupt is enabled by `start`, at the priority set before.
+    let usb = USB_EXECUTOR.start(interrupt::UART4);
+    match usb::run(p.USB, p.PA12, p.PA11, ends.records, board) {
+        Ok(task) => usb.spawn(task),
+        Err(_) => defmt::error!("the USB task could not start"),
+    }
+    static EXECUTOR: StaticCell<Executor> = StaticCell::new();
+    EXECUTOR.init_with(Executor::new).run(|spawner| {
+        match (tasks::watch(p.IWDG), tasks::lamps(p.PC6, p.PC7)) {
+            (Ok(watch), Ok(lamps)) => {
+                spawner.spawn(watch);
+                spawner.spawn(lamps);
+            }
+            _ => defmt::error!("the watch or the lamps could not start"),
+        }
+    })
+}
+
+/// The settings of the last save, or the defaults; what must be said about them.
+fn load_settings(flash: &flash::Bank2) -> (Settings, Config, bool, Faults) {
+    let (stored, faults) = match store::load(flash) {
+        Ok(stored) => (stored, Faults::NONE),
+        Err(_) => {
+            defmt::error!("no settings in flash can be used: running on defaults");
+            (None, Faults::BAD_CONFIG)
+        }
+    };
+    if let Some(stored) = stored
+        && let Ok(config) = Config::build(&stored.settings)
+    {
+        defmt::info!("settings of save {=u32}", stored.number);
+        return (stored.settings, config, true, faults);
+    }
+    let settings = Settings::default();
+    match Config::build(&settings) {
+        Ok(config) => (settings, config, false, faults),
+        // A test of the core builds the defaults; without them there is nothing to run on.
+        Err(_) => defmt::unreachable!("the default settings build"),
+    }
 }

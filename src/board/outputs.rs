@@ -78,9 +78,9 @@ pub fn write(codes: [u16; AXES]) {
 /// The codes at the pins.
 pub fn read() -> [u16; AXES] {
     [
-        pac::DAC1.dor(0).read().dacdor(),
-        pac::DAC1.dor(1).read().dacdor(),
-        pac::DAC2.dor(0).read().dacdor(),
+        pac::DAC1.dor(0).read().dor(),
+        pac::DAC1.dor(1).read().dor(),
+        pac::DAC2.dor(0).read().dor(),
     ]
 }
 

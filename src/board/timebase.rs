@@ -70,17 +70,21 @@ pub fn start() {
     pac::TIM7.cr1().modify(|w| w.set_cen(true));
 }
 
-/// Whether TIM6 has triggered since the last call.
+/// Whether TIM6 has triggered since [`clear_trigger`].
 #[inline(always)]
-pub fn take_trigger() -> bool {
-    let triggered = pac::TIM6.sr().read().uif();
+pub fn has_triggered() -> bool {
+    pac::TIM6.sr().read().uif()
+}
+
+/// Acknowledges the trigger.
+#[inline(always)]
+pub fn clear_trigger() {
     // Write 0 to clear; the other bits are reserved.
-    pac::TIM6.sr().write_value(pac::timer::regs::SrBasic(0));
-    triggered
+    pac::TIM6.sr().write_value(pac::timer::regs::SrCore(0));
 }
 
 /// Acknowledges the deadline interrupt.
 #[inline(always)]
 pub fn clear_deadline() {
-    pac::TIM7.sr().write_value(pac::timer::regs::SrBasic(0));
+    pac::TIM7.sr().write_value(pac::timer::regs::SrCore(0));
 }

@@ -195,37 +195,45 @@ enum Parsed<'a> {
     Not(FrameError),
 }
 
+/// Reads the header of a frame that is all there, without checking it; and the bytes that its CRC covers.
+fn header(bytes: &[u8]) -> Option<(Frame<'_>, &[u8])> {
+    let [_, _, version, kind, s0, s1, s2, s3, l0, l1, q0, q1] = *bytes.first_chunk::<HEADER>()?;
+    let length = usize::from(u16::from_le_bytes([l0, l1]));
+    let body = bytes.get(..HEADER + length)?;
+    let frame = Frame {
+        version,
+        kind: Kind::from_byte(kind)?,
+        schema: u32::from_le_bytes([s0, s1, s2, s3]),
+        sequence: u16::from_le_bytes([q0, q1]),
+        payload: body.get(HEADER..)?,
+    };
+    Some((frame, body))
+}
+
 fn parse(bytes: &[u8]) -> Parsed<'_> {
-    for (expected, found) in MAGIC.iter().zip(bytes) {
-        if expected != found {
-            return Parsed::Not(FrameError::Kind);
-        }
+    if MAGIC.iter().zip(bytes).any(|(expected, found)| expected != found) {
+        return Parsed::Not(FrameError::Kind);
     }
-    let Some(&[_, _, version, kind, s0, s1, s2, s3, l0, l1, q0, q1]) =
-        bytes.first_chunk::<HEADER>()
+    let Some(&[_, _, _, kind, _, _, _, _, l0, l1, _, _]) = bytes.first_chunk::<HEADER>() else {
+        return Parsed::More;
+    };
+    if Kind::from_byte(kind).is_none() {
+        return Parsed::Not(FrameError::Kind);
+    }
+    let length = HEADER + usize::from(u16::from_le_bytes([l0, l1])) + TRAILER;
+    if length > MAX_FRAME {
+        return Parsed::Not(FrameError::TooLong);
+    }
+    let Some((frame, body)) = header(bytes) else { return Parsed::More };
+    let Some(trailer) = bytes.get(body.len()..).and_then(|rest| rest.first_chunk::<TRAILER>())
     else {
         return Parsed::More;
     };
-    let payload_len = usize::from(u16::from_le_bytes([l0, l1]));
-    if payload_len > MAX_PAYLOAD {
-        return Parsed::Not(FrameError::TooLong);
+    if crc32(body) == u32::from_le_bytes(*trailer) {
+        Parsed::Frame(frame, length)
+    } else {
+        Parsed::Not(FrameError::Checksum)
     }
-    let Some(kind) = Kind::from_byte(kind) else { return Parsed::Not(FrameError::Kind) };
-    let Some((body, rest)) = bytes.split_at_checked(HEADER + payload_len) else {
-        return Parsed::More;
-    };
-    let Some(trailer) = rest.first_chunk::<TRAILER>() else { return Parsed::More };
-    if crc32(body) != u32::from_le_bytes(*trailer) {
-        return Parsed::Not(FrameError::Checksum);
-    }
-    let frame = Frame {
-        version,
-        kind,
-        schema: u32::from_le_bytes([s0, s1, s2, s3]),
-        sequence: u16::from_le_bytes([q0, q1]),
-        payload: &body[HEADER..],
-    };
-    Parsed::Frame(frame, HEADER + payload_len + TRAILER)
 }
 
 /// Decodes exactly one frame that fills `bytes`.
@@ -243,8 +251,11 @@ pub fn decode(bytes: &[u8]) -> Result<Frame<'_>, FrameError> {
 #[derive(Clone, Debug)]
 pub struct Deframer {
     buffer: [u8; MAX_FRAME],
-    len: usize,
-    /// Whether bytes of the current run of garbage were already counted as one malformed piece.
+    /// Bytes before this are done with.
+    start: usize,
+    /// Bytes from here on are free.
+    end: usize,
+    /// Whether the current run of garbage was already counted as one malformed piece.
     in_garbage: bool,
     /// Good frames so far.
     pub frames: u32,
@@ -265,7 +276,8 @@ impl Deframer {
     pub const fn new() -> Self {
         Self {
             buffer: [0; MAX_FRAME],
-            len: 0,
+            start: 0,
+            end: 0,
             in_garbage: false,
             frames: 0,
             malformed: 0,
@@ -276,49 +288,60 @@ impl Deframer {
     /// Takes in `bytes` and calls `on_frame` for every frame that they complete.
     pub fn push(&mut self, mut bytes: &[u8], mut on_frame: impl FnMut(Frame<'_>)) {
         while !bytes.is_empty() {
-            let free = &mut self.buffer[self.len..];
-            let take = free.len().min(bytes.len());
-            free[..take].copy_from_slice(&bytes[..take]);
-            self.len += take;
-            bytes = &bytes[take..];
-            self.drain(&mut on_frame);
+            let taken = self.feed(bytes);
+            bytes = bytes.get(taken..).unwrap_or_default();
+            while let Some(frame) = self.next_frame() {
+                on_frame(frame);
+            }
         }
     }
 
-    /// Hands out the whole frames in the buffer, drops garbage, and moves the rest to the front. Never leaves the buffer full,
-    /// because a full buffer either holds a whole frame or none that starts at its first byte.
-    fn drain(&mut self, on_frame: &mut impl FnMut(Frame<'_>)) {
-        let mut start = 0;
-        loop {
-            match parse(&self.buffer[start..self.len]) {
-                Parsed::Frame(frame, length) => {
-                    self.frames = self.frames.saturating_add(1);
-                    self.in_garbage = false;
-                    on_frame(frame);
-                    start += length;
-                }
-                Parsed::More => break,
+    /// Takes in as many of `bytes` as there is room for, and returns how many. There is room for at least one once
+    /// [`Deframer::next_frame`] has returned `None`.
+    pub fn feed(&mut self, bytes: &[u8]) -> usize {
+        self.buffer.copy_within(self.start..self.end, 0);
+        self.end -= self.start;
+        self.start = 0;
+        let free = self.buffer.get_mut(self.end..).unwrap_or_default();
+        let taken = free.len().min(bytes.len());
+        for (to, from) in free.iter_mut().zip(bytes) {
+            *to = *from;
+        }
+        self.end += taken;
+        taken
+    }
+
+    /// The next whole frame, if the bytes taken in so far hold one.
+    pub fn next_frame(&mut self) -> Option<Frame<'_>> {
+        let found = loop {
+            let held = self.buffer.get(self.start..self.end).unwrap_or_default();
+            match parse(held) {
+                Parsed::Frame(_, length) => break self.start..self.start + length,
+                Parsed::More => return None,
                 Parsed::Not(error) => {
                     if error == FrameError::Checksum || !self.in_garbage {
                         self.malformed = self.malformed.saturating_add(1);
                     }
                     self.in_garbage = true;
                     self.skipped_bytes = self.skipped_bytes.saturating_add(1);
-                    start += 1;
+                    self.start += 1;
                 }
             }
-        }
-        self.buffer.copy_within(start..self.len, 0);
-        self.len -= start;
+        };
+        self.frames = self.frames.saturating_add(1);
+        self.in_garbage = false;
+        self.start = found.end;
+        header(self.buffer.get(found)?).map(|(frame, _)| frame)
     }
 
     /// Forgets an incomplete frame: the transfer that should have held it is over. Counts it as malformed if there was one.
     pub fn end_of_transfer(&mut self) {
-        if self.len > 0 {
+        let left = self.end - self.start;
+        if left > 0 {
             self.malformed = self.malformed.saturating_add(1);
-            self.skipped_bytes = self.skipped_bytes.saturating_add(self.len as u32);
+            self.skipped_bytes = self.skipped_bytes.saturating_add(left as u32);
         }
-        self.len = 0;
+        (self.start, self.end) = (0, 0);
         self.in_garbage = false;
     }
 }

@@ -1,0 +1,176 @@
+//! What the board does when a host asks: the hardware side of [`link::session`](crate::link::session).
+
+use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
+
+use embassy_time::{Duration, Instant, Timer};
+use heapless::spsc::{Consumer, Producer};
+
+use super::flash::Bank2;
+use super::tick::{self, Answer, Order};
+use super::{crash, stack, usb};
+use crate::link::message::{Counters, Crash, HISTOGRAM_BINS, Refusal, Status};
+use crate::link::session::Device;
+use crate::link::{Fields, Identity, Profile};
+use crate::{Command, Config, Settings, store};
+
+/// Longest time to an answer of the tick, which comes within one period.
+const PATIENCE: Duration = Duration::from_millis(5);
+
+/// What the watch task should do when the reply is out: 0 nothing, 1 restart, 2 DFU loader.
+pub static REBOOT: AtomicU8 = AtomicU8::new(0);
+
+/// The stream that the host wants: 0 none, else 1 << 31 | profile << 16 | fields.
+static STREAM: AtomicU32 = AtomicU32::new(0);
+
+/// The stream that is on.
+pub fn stream() -> Option<(Fields, Profile)> {
+    let word = STREAM.load(Ordering::Acquire);
+    if word == 0 {
+        return None;
+    }
+    Profile::from_byte((word >> 16) as u8).map(|profile| (Fields(word as u16), profile))
+}
+
+/// Ends the stream: the host went away.
+pub fn stop_stream() {
+    STREAM.store(0, Ordering::Release);
+}
+
+/// The board as the session sees it.
+pub struct Board {
+    /// Orders to the tick.
+    pub orders: Producer<'static, Order>,
+    /// Its answers.
+    pub answers: Consumer<'static, Answer>,
+    /// The settings in effect.
+    pub settings: &'static mut Settings,
+    /// Whether they are the ones in flash.
+    pub is_stored: bool,
+    /// Digest of the configuration in effect.
+    pub digest: u32,
+    /// Flash for settings.
+    pub flash: Bank2,
+    /// Room to encode them in.
+    pub scratch: &'static mut [u8; store::MAX_PAYLOAD],
+    /// Who the board is.
+    pub identity: Identity,
+    /// How the last run ended.
+    pub report: crash::Report,
+}
+
+/// The next tick: what changes now acts there.
+fn next_tick() -> u32 {
+    tick::TICKS.load(Ordering::Relaxed)
+}
+
+impl Device for Board {
+    fn identity(&self) -> Identity {
+        self.identity
+    }
+
+    fn status(&self) -> Status {
+        Status {
+            tick: next_tick().wrapping_sub(1),
+            flags: tick::FLAGS.load(Ordering::Relaxed),
+            digest: self.digest,
+            is_stored: self.is_stored,
+            stream: stream(),
+            uptime_ms: Instant::now().as_millis() as u32,
+            has_crash: self.report.has_message,
+        }
+    }
+
+    fn counters(&self) -> Counters {
+        let load = |counter: &AtomicU32| counter.load(Ordering::Relaxed);
+        let mut cycles_histogram = [0; HISTOGRAM_BINS];
+        for (to, from) in cycles_histogram.iter_mut().zip(&tick::CYCLES_HISTOGRAM) {
+            *to = load(from);
+        }
+        Counters {
+            ticks: load(&tick::TICKS),
+            overruns: load(&tick::OVERRUNS),
+            cycles_last: load(&tick::CYCLES_LAST),
+            cycles_max: load(&tick::CYCLES_MAX),
+            cycles_histogram,
+            dropped: load(&usb::DROPPED),
+            frames: load(&usb::FRAMES),
+            usb_resets: load(&usb::RESETS),
+            flash_errors: load(&crash::FLASH_ERRORS),
+            stack_free: stack::unused(),
+            ..Counters::default()
+        }
+    }
+
+    fn crash(&self) -> Crash {
+        Crash { reset_flags: self.report.reset_flags, message: crash::message() }
+    }
+
+    fn settings(&self) -> &Settings {
+        self.settings
+    }
+
+    fn configure(&mut self, settings: &Settings, config: Config) -> Result<u32, Refusal> {
+        self.settings.clone_from(settings);
+        self.is_stored = false;
+        self.digest = config.digest();
+        tick::exchange_config(&config);
+        Ok(next_tick())
+    }
+
+    fn write_table(&mut self, offset: usize, points: &[f32]) -> Result<(), Refusal> {
+        match tick::with_idle_table(|table| table.write(offset, points)) {
+            Some(Ok(())) => Ok(()),
+            Some(Err(_)) | None => Err(Refusal::Range),
+        }
+    }
+
+    fn use_table(&mut self, len: usize) -> Result<u32, Refusal> {
+        match tick::with_idle_table(|table| table.set_len(len)) {
+            Some(Ok(())) => {
+                tick::exchange_tables();
+                Ok(next_tick())
+            }
+            Some(Err(_)) | None => Err(Refusal::Range),
+        }
+    }
+
+    fn stream(&mut self, stream: Option<(Fields, Profile)>) -> u32 {
+        usb::DROPPED.store(0, Ordering::Relaxed);
+        let word = stream.map_or(0, |(fields, profile)| {
+            1 << 31 | u32::from(profile as u8) << 16 | u32::from(fields.0)
+        });
+        STREAM.store(word, Ordering::Release);
+        next_tick()
+    }
+
+    fn reboot(&mut self, dfu: bool) {
+        REBOOT.store(if dfu { 2 } else { 1 }, Ordering::Release);
+    }
+
+    async fn control(&mut self, command: Command) -> Result<u32, Refusal> {
+        if self.identity.self_test & !crate::link::identity::self_test::TOLERABLE != 0
+            && matches!(command, Command::Arm)
+        {
+            return Err(Refusal::NotReady);
+        }
+        // An answer that came after its caller lost patience belongs to nobody.
+        while self.answers.dequeue().is_some() {}
+        self.orders.enqueue(Order::Command(command)).map_err(|_| Refusal::Busy)?;
+        let asked = Instant::now();
+        loop {
+            Timer::after_micros(50).await;
+            if let Some(answer) = self.answers.dequeue() {
+                return answer.map_err(Refusal::Control);
+            }
+            if asked.elapsed() > PATIENCE {
+                return Err(Refusal::NotReady);
+            }
+        }
+    }
+
+    async fn save(&mut self) -> Result<(u32, u8), Refusal> {
+        let saved = store::save(&mut self.flash, self.settings, self.scratch.as_mut_slice()).await;
+        self.is_stored |= saved.is_ok();
+        saved.map_err(|_| Refusal::Flash)
+    }
+}

@@ -1,0 +1,294 @@
+//! The control tick: the interrupt at the end of the gauge conversions, 10 000 times a second.
+//!
+//! # Design
+//! [`ADC3`] runs at P0, alone with the deadline monitor [`TIM7_DAC`] and above everything else, from CCM RAM (no flash wait states,
+//! no stall while flash is written). It takes the samples, at most one order of the tasks, steps the [`Controller`], writes the
+//! outputs that TIM6 latches at the next trigger, and leaves a record in a lock-free queue. It shares nothing but atomics, two
+//! double buffers and three single-producer, single-consumer queues with the rest of the program; it calls
+//! nothing outside CCM, which `cargo xtask firmware` proves from the image.
+//!
+//! Configurations and tables are double-buffered: a task writes the one that is not in use and exchanges the index. The tick
+//! cannot be in the middle of anything while a task runs, so the next tick sees the new one whole.
+//!
+//! # Limits
+//! A missing sample of a converter is replaced by its last one for [`CONVERTER_PATIENCE`] ticks, then it is a fault.
+
+use core::cell::UnsafeCell;
+use core::mem::MaybeUninit;
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use embassy_stm32::interrupt;
+use heapless::spsc::{Consumer, Producer, Queue};
+use static_cell::StaticCell;
+
+use super::timebase::TICK_CYCLES;
+use super::{converters, crash, outputs, timebase};
+use crate::link::message::{HISTOGRAM_BIN_CYCLES, HISTOGRAM_BINS};
+use crate::{AXES, Command, Config, Controller, Faults, Flags, Record, Refusal, Sample, Table};
+
+/// Records between the tick and the pump, which empties the queue every millisecond.
+pub const RECORDS: usize = 64;
+/// Ticks for which a converter may deliver nothing.
+const CONVERTER_PATIENCE: u32 = 5;
+/// Ticks without a sign of life from the tasks until the drives are returned: 250 ms, well before the watchdog bites.
+const TASK_PATIENCE: u32 = 2_500;
+
+/// One tick, for the stream.
+#[derive(Clone, Copy)]
+pub struct Entry {
+    /// What the controller decided.
+    pub record: Record,
+    /// Gauge codes.
+    pub gauge: [u16; AXES],
+    /// Core cycles from the interrupt's entry until here.
+    pub cycles: u16,
+}
+
+/// What the tasks ask of the tick.
+#[derive(Clone, Copy)]
+pub enum Order {
+    /// For the controller; answered in the queue of results.
+    Command(Command),
+    /// A fault that a task found; not answered.
+    Trip(Faults),
+}
+
+/// Answer to a command: the tick from which it acts.
+pub type Answer = Result<u32, Refusal>;
+
+/// The tasks' ends of the queues.
+pub struct Ends {
+    /// Records of every tick.
+    pub records: Consumer<'static, Entry>,
+    /// Orders to the tick.
+    pub orders: Producer<'static, Order>,
+    /// Answers of the tick.
+    pub answers: Consumer<'static, Answer>,
+}
+
+struct State {
+    controller: Controller,
+    records: Producer<'static, Entry>,
+    orders: Consumer<'static, Order>,
+    answers: Producer<'static, Answer>,
+    codes: converters::Codes,
+    missing_ticks: u32,
+    entered: u32,
+    was_late: bool,
+    beat: u32,
+    silent_ticks: u32,
+}
+
+/// Memory that the tick shares with start-up code or with one task.
+struct Shared<T>(UnsafeCell<MaybeUninit<T>>);
+// SAFETY: each use says why no two sides touch the content at once.
+unsafe impl<T> Sync for Shared<T> {}
+
+impl<T> Shared<T> {
+    const fn new() -> Self {
+        Self(UnsafeCell::new(MaybeUninit::uninit()))
+    }
+    const fn get(&self) -> *mut T {
+        self.0.get().cast()
+    }
+}
+
+static STATE: Shared<State> = Shared::new();
+static CONFIGS: [Shared<Config>; 2] = [Shared::new(), Shared::new()];
+#[unsafe(link_section = ".ccm_bss")]
+static TABLES: [Shared<Table>; 2] = [Shared::new(), Shared::new()];
+static CONFIG: AtomicU32 = AtomicU32::new(0);
+static TABLE: AtomicU32 = AtomicU32::new(0);
+
+/// Ticks since start.
+pub static TICKS: AtomicU32 = AtomicU32::new(0);
+/// Status word of the last tick.
+pub static FLAGS: AtomicU32 = AtomicU32::new(0);
+/// Ticks missed, or not finished before the next trigger.
+pub static OVERRUNS: AtomicU32 = AtomicU32::new(0);
+/// Records that found the queue full.
+pub static LOST_RECORDS: AtomicU32 = AtomicU32::new(0);
+/// Cycles of the last tick.
+pub static CYCLES_LAST: AtomicU32 = AtomicU32::new(0);
+/// Most cycles of any tick.
+pub static CYCLES_MAX: AtomicU32 = AtomicU32::new(0);
+/// Ticks by cycles.
+pub static CYCLES_HISTOGRAM: [AtomicU32; HISTOGRAM_BINS] =
+    [const { AtomicU32::new(0) }; HISTOGRAM_BINS];
+/// Incremented by the tasks while they run.
+pub static HEARTBEAT: AtomicU32 = AtomicU32::new(0);
+
+/// Sets up what the tick needs. Once, before its interrupt is enabled.
+pub fn init(config: Config, faults: Faults) -> Ends {
+    static RECORD_QUEUE: StaticCell<Queue<Entry, RECORDS>> = StaticCell::new();
+    static ORDER_QUEUE: StaticCell<Queue<Order, 4>> = StaticCell::new();
+    static ANSWER_QUEUE: StaticCell<Queue<Answer, 4>> = StaticCell::new();
+    let (records_in, records) = RECORD_QUEUE.init_with(Queue::new).split();
+    let (orders, orders_out) = ORDER_QUEUE.init_with(Queue::new).split();
+    let (answers_in, answers) = ANSWER_QUEUE.init_with(Queue::new).split();
+    let mut controller = Controller::new();
+    controller.trip(faults);
+    let state = State {
+        controller,
+        records: records_in,
+        orders: orders_out,
+        answers: answers_in,
+        codes: converters::Codes { gauge: [0; AXES], monitor: [0; AXES] },
+        missing_ticks: 0,
+        entered: timebase::cycles(),
+        was_late: false,
+        beat: 0,
+        silent_ticks: 0,
+    };
+    // SAFETY: the interrupt that uses these is not enabled yet; everything is written before it is.
+    unsafe {
+        STATE.get().write(state);
+        for cell in &CONFIGS {
+            cell.get().write(config.clone());
+        }
+        for cell in &TABLES {
+            cell.get().write(Table::EMPTY);
+        }
+    }
+    Ends { records, orders, answers }
+}
+
+/// Puts a configuration into effect at the next tick. Called by one task only.
+pub fn exchange_config(config: &Config) {
+    let next = 1 - (CONFIG.load(Ordering::Relaxed) & 1);
+    if let Some(cell) = CONFIGS.get(next as usize) {
+        // SAFETY: the tick reads only the other one until the index changes, and one task calls this.
+        unsafe { (*cell.get()).clone_from(config) };
+        CONFIG.store(next, Ordering::Release);
+    }
+}
+
+/// Changes the table that is not in use. Called by one task only.
+pub fn with_idle_table<R>(change: impl FnOnce(&mut Table) -> R) -> Option<R> {
+    let next = 1 - (TABLE.load(Ordering::Relaxed) & 1);
+    // SAFETY: the tick reads only the other one until `exchange_tables`, and one task calls both.
+    TABLES.get(next as usize).map(|cell| change(unsafe { &mut *cell.get() }))
+}
+
+/// Puts the table that is not in use into use at the next tick. Called by one task only.
+pub fn exchange_tables() {
+    TABLE.store(1 - (TABLE.load(Ordering::Relaxed) & 1), Ordering::Release);
+}
+
+/// Whether the drives are at their safe voltage.
+pub fn is_parked() -> bool {
+    Flags(FLAGS.load(Ordering::Relaxed)).is_parked()
+}
+
+/// The tick.
+#[interrupt]
+#[unsafe(link_section = ".ccm.tick")]
+unsafe fn ADC3() {
+    let entered = timebase::cycles();
+    // SAFETY: `init` has run before the interrupt was enabled, and only this handler uses the state.
+    let state = unsafe { &mut *STATE.get() };
+    // SAFETY: tasks write only the buffer that is not in use, and none can run while this handler does.
+    let config = unsafe {
+        &*if CONFIG.load(Ordering::Acquire) == 0 { CONFIGS[0].get() } else { CONFIGS[1].get() }
+    };
+    // SAFETY: as above.
+    let table = unsafe {
+        &*if TABLE.load(Ordering::Acquire) == 0 { TABLES[0].get() } else { TABLES[1].get() }
+    };
+    timebase::clear_trigger();
+    let missing = converters::take(&mut state.codes);
+
+    let faults = state.look_around(missing != 0);
+    state.controller.trip(faults);
+    let missed = state.count_missed(entered);
+    match state.orders.dequeue() {
+        Some(Order::Command(command)) => {
+            let tick = TICKS.load(Ordering::Relaxed);
+            let answer = state.controller.command(config, command).map(|()| tick);
+            // One command waits for its answer at a time, so there is room.
+            let _ = state.answers.enqueue(answer);
+        }
+        Some(Order::Trip(faults)) => state.controller.trip(faults),
+        None => {}
+    }
+
+    let converters::Codes { gauge, monitor } = state.codes;
+    let sample = Sample {
+        gauge: gauge.map(i32::from),
+        monitor: monitor.map(i32::from),
+        overrun: missed || state.was_late,
+    };
+    let record = state.controller.tick(config, table, &sample);
+    let [a, b, c] = &record.axes;
+    outputs::write([a.dac, b.dac, c.dac]);
+    // A trigger since the entry means that the outputs were written too late for it.
+    state.was_late = timebase::has_triggered();
+
+    let cycles = timebase::cycles().wrapping_sub(entered);
+    if state.records.enqueue(Entry { record, gauge, cycles: cycles.min(0xffff) as u16 }).is_err() {
+        bump(&LOST_RECORDS, 1);
+    }
+    FLAGS.store(record.flags.0, Ordering::Relaxed);
+    bump(&TICKS, 1);
+    account(timebase::cycles().wrapping_sub(entered), state.was_late);
+}
+
+/// Half a period after the sample: if the converters did not end, the tick has to run without them.
+#[interrupt]
+#[unsafe(link_section = ".ccm.deadline")]
+unsafe fn TIM7_DAC() {
+    timebase::clear_deadline();
+    // TIM6 has triggered since the tick acknowledged it last: the tick of this period did not run.
+    if timebase::has_triggered() {
+        cortex_m::peripheral::NVIC::pend(interrupt::ADC3);
+    }
+}
+
+impl State {
+    /// Faults that the controller cannot see.
+    #[inline(always)]
+    fn look_around(&mut self, is_missing: bool) -> Faults {
+        self.missing_ticks = if is_missing { self.missing_ticks.saturating_add(1) } else { 0 };
+        let beat = HEARTBEAT.load(Ordering::Relaxed);
+        self.silent_ticks = if beat == self.beat { self.silent_ticks.saturating_add(1) } else { 0 };
+        self.beat = beat;
+        let is_starved =
+            self.silent_ticks > TASK_PATIENCE || crash::CRASHED.load(Ordering::Relaxed);
+        Faults::CONVERTER
+            .when(self.missing_ticks > CONVERTER_PATIENCE)
+            .with(Faults::STARVED.when(is_starved))
+    }
+
+    /// Counts triggers that had no tick, from the time since the last one.
+    #[inline(always)]
+    fn count_missed(&mut self, entered: u32) -> bool {
+        let since = entered.wrapping_sub(self.entered);
+        self.entered = entered;
+        let is_missed = since > TICK_CYCLES + TICK_CYCLES / 2 && TICKS.load(Ordering::Relaxed) != 0;
+        if is_missed {
+            bump(&OVERRUNS, (since - TICK_CYCLES / 2) / TICK_CYCLES);
+        }
+        is_missed
+    }
+}
+
+/// Adds to a counter that only the tick writes: no exclusive access is needed.
+#[inline(always)]
+fn bump(counter: &AtomicU32, by: u32) {
+    counter.store(counter.load(Ordering::Relaxed).wrapping_add(by), Ordering::Relaxed);
+}
+
+#[inline(always)]
+fn account(cycles: u32, was_late: bool) {
+    CYCLES_LAST.store(cycles, Ordering::Relaxed);
+    if cycles > CYCLES_MAX.load(Ordering::Relaxed) {
+        CYCLES_MAX.store(cycles, Ordering::Relaxed);
+    }
+    let bin = (cycles / HISTOGRAM_BIN_CYCLES).min(HISTOGRAM_BINS as u32 - 1) as usize;
+    if let Some(counter) = CYCLES_HISTOGRAM.get(bin) {
+        bump(counter, 1);
+    }
+    if was_late {
+        bump(&OVERRUNS, 1);
+    }
+}

@@ -1,0 +1,346 @@
+//! USB: one vendor interface with a bulk endpoint each way, and the pump that feeds it.
+//!
+//! # Design
+//! RM0440 section 45, through embassy-usb. No driver is needed: Microsoft OS 2.0 descriptors bind WinUSB, Linux and macOS give the
+//! interface to any program. Four futures share one task on an interrupt executor below the tick and above everything else:
+//!
+//! - the device itself (enumeration, resets),
+//! - the pump: every millisecond it packs the records of the tick into frames, in a ring of [`FRAMES_IN_RING`] ([`RING_MS`] of packed
+//!   recording) that carries the board over a host that does not read for a while; what does not fit then is dropped and counted,
+//! - the writer: replies first, then frames, each as one transfer,
+//! - the reader: bytes to frames to [`Session`] to replies.
+//!
+//! # Limits
+//! embassy's driver buffers one packet per endpoint. The clock is HSI48, trimmed by the host's start-of-frame.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use embassy_futures::join::join4;
+use embassy_futures::select::{Either, select};
+use embassy_stm32::peripherals::{PA11, PA12, USB};
+use embassy_stm32::{Peri, bind_interrupts, usb};
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embassy_sync::zerocopy_channel::{Channel, Receiver, Sender};
+use embassy_time::{Duration, Ticker};
+use embassy_usb::driver::{Direction, Endpoint, EndpointAddress, EndpointIn, EndpointOut};
+use embassy_usb::msos::{
+    CompatibleIdFeatureDescriptor, PropertyData, RegistryPropertyFeatureDescriptor, windows_version,
+};
+use embassy_usb::{Builder, Config, Handler};
+use heapless::spsc::Consumer;
+use static_cell::StaticCell;
+
+use super::device::{self, Board};
+use super::tick::{self, Entry};
+use crate::link::session::Session;
+use crate::link::{
+    Deframer, MAX_FRAME, Sample, StreamWriter, USB_ENDPOINT_IN, USB_ENDPOINT_OUT, USB_MANUFACTURER,
+    USB_PACKET_BYTES, USB_PRODUCT, USB_PRODUCT_ID, USB_VENDOR_ID,
+};
+
+bind_interrupts!(struct Irqs {
+    USB_LP => usb::InterruptHandler<USB>;
+});
+
+type Driver = usb::Driver<'static, USB>;
+
+/// Bytes of a stream frame.
+const FRAME_BYTES: usize = 1_024;
+/// Frames between pump and writer.
+pub const FRAMES_IN_RING: usize = 44;
+/// What the ring holds of a packed recording (35 samples a frame), ms.
+pub const RING_MS: usize = FRAMES_IN_RING * 35 / 10;
+/// Vendor request by which Windows asks for the Microsoft OS descriptors.
+const MSOS_VENDOR_CODE: u8 = 0x20;
+/// Device interface class by which Windows programs find the board.
+const INTERFACE_GUIDS: &[&str] = &["{6F1B9F3A-4C0E-4E0B-9B0C-0B8A5D3E7F21}"];
+
+/// Samples that were dropped since the stream was started.
+pub static DROPPED: AtomicU32 = AtomicU32::new(0);
+/// Stream frames sent.
+pub static FRAMES: AtomicU32 = AtomicU32::new(0);
+/// Bus resets.
+pub static RESETS: AtomicU32 = AtomicU32::new(0);
+/// Incremented by the pump while it runs.
+pub static HEARTBEAT: AtomicU32 = AtomicU32::new(0);
+
+/// A frame on its way to the host.
+struct Outgoing<const N: usize> {
+    length: usize,
+    bytes: [u8; N],
+}
+
+impl<const N: usize> Outgoing<N> {
+    const EMPTY: Self = Self { length: 0, bytes: [0; N] };
+
+    fn frame(&self) -> &[u8] {
+        self.bytes.get(..self.length).unwrap_or_default()
+    }
+}
+
+type StreamFrame = Outgoing<FRAME_BYTES>;
+type ReplyFrame = Outgoing<MAX_FRAME>;
+
+/// Counts resets, and stops the stream of a host that is gone.
+struct Watcher;
+
+impl Handler for Watcher {
+    fn reset(&mut self) {
+        RESETS.store(RESETS.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+        device::stop_stream();
+    }
+
+    fn configured(&mut self, configured: bool) {
+        defmt::info!("usb configured: {=bool}", configured);
+    }
+
+    fn suspended(&mut self, suspended: bool) {
+        defmt::info!("usb suspended: {=bool}", suspended);
+    }
+}
+
+/// The USB side of the board.
+#[embassy_executor::task]
+pub async fn run(
+    peripheral: Peri<'static, USB>,
+    dp: Peri<'static, PA12>,
+    dm: Peri<'static, PA11>,
+    records: Consumer<'static, Entry>,
+    board: Board,
+) {
+    static CONFIG_DESCRIPTOR: StaticCell<[u8; 64]> = StaticCell::new();
+    static BOS_DESCRIPTOR: StaticCell<[u8; 64]> = StaticCell::new();
+    static MSOS_DESCRIPTOR: StaticCell<[u8; 256]> = StaticCell::new();
+    static CONTROL: StaticCell<[u8; 64]> = StaticCell::new();
+    static WATCHER: StaticCell<Watcher> = StaticCell::new();
+    static RING: StaticCell<[StreamFrame; FRAMES_IN_RING]> = StaticCell::new();
+    static RING_CHANNEL: StaticCell<Channel<'static, NoopRawMutex, StreamFrame>> =
+        StaticCell::new();
+    static REPLY: StaticCell<[ReplyFrame; 1]> = StaticCell::new();
+    static REPLY_CHANNEL: StaticCell<Channel<'static, NoopRawMutex, ReplyFrame>> =
+        StaticCell::new();
+
+    let driver = usb::Driver::new(peripheral, Irqs, dp, dm);
+    let mut builder = Builder::new(
+        driver,
+        config(),
+        CONFIG_DESCRIPTOR.init_with(|| [0; 64]),
+        BOS_DESCRIPTOR.init_with(|| [0; 64]),
+        MSOS_DESCRIPTOR.init_with(|| [0; 256]),
+        CONTROL.init_with(|| [0; 64]),
+    );
+    builder.handler(WATCHER.init(Watcher));
+    builder.msos_descriptor(windows_version::WIN8_1, MSOS_VENDOR_CODE);
+    builder.msos_feature(CompatibleIdFeatureDescriptor::new("WINUSB", ""));
+    builder.msos_feature(RegistryPropertyFeatureDescriptor::new(
+        "DeviceInterfaceGUIDs",
+        PropertyData::RegMultiSz(INTERFACE_GUIDS),
+    ));
+    let (input, output) = {
+        let mut function = builder.function(0xff, 0, 0);
+        let mut interface = function.interface();
+        let mut setting = interface.alt_setting(0xff, 0, 0, None);
+        let at = |address: u8, direction| {
+            Some(EndpointAddress::from_parts(usize::from(address & 0x0f), direction))
+        };
+        let size = USB_PACKET_BYTES as u16;
+        (
+            setting.endpoint_bulk_in(at(USB_ENDPOINT_IN, Direction::In), size),
+            setting.endpoint_bulk_out(at(USB_ENDPOINT_OUT, Direction::Out), size),
+        )
+    };
+    let mut device = builder.build();
+
+    let ring = RING.init_with(|| [const { StreamFrame::EMPTY }; FRAMES_IN_RING]);
+    let (frames_in, frames_out) = RING_CHANNEL.init_with(|| Channel::new(ring)).split();
+    let reply = REPLY.init_with(|| [const { ReplyFrame::EMPTY }; 1]);
+    let (replies_in, replies_out) = REPLY_CHANNEL.init_with(|| Channel::new(reply)).split();
+    join4(
+        device.run(),
+        pump(records, frames_in),
+        write(input, frames_out, replies_out),
+        read(output, board, replies_in),
+    )
+    .await;
+}
+
+fn config() -> Config<'static> {
+    let mut config = Config::new(USB_VENDOR_ID, USB_PRODUCT_ID);
+    config.manufacturer = Some(USB_MANUFACTURER);
+    config.product = Some(USB_PRODUCT);
+    config.serial_number = Some(embassy_stm32::uid::uid_hex());
+    config.device_release =
+        u16::from_be_bytes([super::VERSION[0], super::VERSION[1] << 4 | super::VERSION[2]]);
+    config.device_class = 0xff;
+    config.device_sub_class = 0;
+    config.device_protocol = 0;
+    config.composite_with_iads = false;
+    config.max_power = 250;
+    config
+}
+
+/// Records to frames.
+async fn pump(
+    mut records: Consumer<'static, Entry>,
+    mut ring: Sender<'static, NoopRawMutex, StreamFrame>,
+) {
+    let mut packer = Packer { sequence: 0, tick_high: 0, tick_low: 0, lost_before: 0 };
+    let mut ticker = Ticker::every(Duration::from_millis(1));
+    loop {
+        packer.start_stream();
+        while let Some((fields, profile)) = device::stream() {
+            // The frame is filled in place, over as many milliseconds as it takes.
+            let Some(frame) = ring.try_send() else {
+                packer.drop_all_but(&mut records, tick::RECORDS / 2);
+                breathe(&mut ticker).await;
+                continue;
+            };
+            let mut writer = StreamWriter::new(&mut frame.bytes, fields, profile);
+            while device::stream() == Some((fields, profile)) {
+                let Some(entry) = records.peek() else {
+                    breathe(&mut ticker).await;
+                    continue;
+                };
+                if !writer.push(&packer.sample(entry)) {
+                    break;
+                }
+                records.dequeue();
+            }
+            if writer.count() > 0
+                && let Ok(length) = writer.finish(packer.sequence, packer.dropped())
+            {
+                packer.sequence = packer.sequence.wrapping_add(1);
+                frame.length = length;
+                ring.send_done();
+            }
+        }
+        // Nobody listens: frames of the last stream are for nobody, and so are the records.
+        ring.clear();
+        packer.drop_all_but(&mut records, 0);
+        breathe(&mut ticker).await;
+    }
+}
+
+/// Waits for the next millisecond and shows that the pump runs.
+async fn breathe(ticker: &mut Ticker) {
+    ticker.next().await;
+    HEARTBEAT.store(HEARTBEAT.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+}
+
+/// What the pump remembers from frame to frame.
+struct Packer {
+    sequence: u16,
+    tick_high: u32,
+    tick_low: u32,
+    lost_before: u32,
+}
+
+impl Packer {
+    /// Counts losses from here.
+    fn start_stream(&mut self) {
+        self.lost_before = tick::LOST_RECORDS.load(Ordering::Relaxed);
+        DROPPED.store(0, Ordering::Relaxed);
+    }
+
+    /// Samples dropped since the stream was started: by the pump for want of a frame, and by the tick for want of a pump.
+    fn dropped(&mut self) -> u32 {
+        let lost = tick::LOST_RECORDS.load(Ordering::Relaxed);
+        let dropped =
+            DROPPED.load(Ordering::Relaxed).wrapping_add(lost.wrapping_sub(self.lost_before));
+        self.lost_before = lost;
+        DROPPED.store(dropped, Ordering::Relaxed);
+        dropped
+    }
+
+    fn drop_all_but(&mut self, records: &mut Consumer<'static, Entry>, keep: usize) {
+        while records.len() > keep && records.dequeue().is_some() {
+            DROPPED.store(DROPPED.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+        }
+    }
+
+    /// A record as it travels, its tick extended to 64 bits.
+    fn sample(&mut self, entry: &Entry) -> Sample {
+        let record = &entry.record;
+        if record.tick < self.tick_low {
+            self.tick_high = self.tick_high.wrapping_add(1);
+        }
+        self.tick_low = record.tick;
+        let axes = &record.axes;
+        Sample {
+            tick: u64::from(self.tick_high) << 32 | u64::from(record.tick),
+            reference: axes.each_ref().map(|axis| axis.reference.to_bits()),
+            position: axes.each_ref().map(|axis| axis.position.to_bits()),
+            drive: axes.each_ref().map(|axis| axis.drive.to_bits()),
+            monitor: axes.each_ref().map(|axis| axis.monitor.to_bits()),
+            flags: record.flags.0,
+            cycles: entry.cycles,
+            gauge_code: entry.gauge,
+            dac_code: axes.each_ref().map(|axis| axis.dac),
+        }
+    }
+}
+
+/// Frames and replies to the host, replies first.
+async fn write(
+    mut endpoint: <Driver as embassy_usb::driver::Driver<'static>>::EndpointIn,
+    mut frames: Receiver<'static, NoopRawMutex, StreamFrame>,
+    mut replies: Receiver<'static, NoopRawMutex, ReplyFrame>,
+) {
+    loop {
+        endpoint.wait_enabled().await;
+        loop {
+            let sent = match select(replies.receive(), frames.receive()).await {
+                Either::First(reply) => {
+                    let sent = endpoint.write_transfer(reply.frame(), true).await;
+                    replies.receive_done();
+                    sent
+                }
+                Either::Second(frame) => {
+                    let sent = endpoint.write_transfer(frame.frame(), true).await;
+                    frames.receive_done();
+                    FRAMES.store(FRAMES.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+                    sent
+                }
+            };
+            if sent.is_err() {
+                break;
+            }
+        }
+    }
+}
+
+/// Commands from the host.
+async fn read(
+    mut endpoint: <Driver as embassy_usb::driver::Driver<'static>>::EndpointOut,
+    mut board: Board,
+    mut replies: Sender<'static, NoopRawMutex, ReplyFrame>,
+) {
+    static DEFRAMER: StaticCell<Deframer> = StaticCell::new();
+    let deframer = DEFRAMER.init_with(Deframer::new);
+    let mut session = Session::new();
+    let mut packet = [0; USB_PACKET_BYTES];
+    loop {
+        endpoint.wait_enabled().await;
+        deframer.end_of_transfer();
+        while let Ok(length) = endpoint.read(&mut packet).await {
+            let mut rest = packet.get(..length).unwrap_or_default();
+            while !rest.is_empty() {
+                let taken = deframer.feed(rest);
+                rest = rest.get(taken..).unwrap_or_default();
+                loop {
+                    let errors = deframer.malformed;
+                    let Some(frame) = deframer.next_frame() else { break };
+                    let reply = replies.send().await;
+                    reply.length =
+                        session.handle(&mut board, &frame, errors, &mut reply.bytes).await;
+                    if reply.length > 0 {
+                        replies.send_done();
+                    }
+                }
+            }
+            if length < USB_PACKET_BYTES {
+                deframer.end_of_transfer();
+            }
+        }
+    }
+}
