@@ -17,6 +17,8 @@ use crate::{AXES, MAX_CREEP, creep};
 #[derive(Clone, Copy, Debug)]
 struct Axis {
     trajectory: Trajectory,
+    /// Where the reference goes in this tick.
+    motion: Motion,
     feedforward: FeedforwardState,
     feedback: FeedbackState,
     watch: WatchState,
@@ -36,6 +38,7 @@ struct Axis {
 impl Axis {
     const REST: Self = Self {
         trajectory: Trajectory::at(Um::ZERO),
+        motion: Motion::REST,
         feedforward: FeedforwardState::REST,
         feedback: FeedbackState::REST,
         watch: WatchState::REST,
@@ -294,21 +297,15 @@ impl Controller {
         self.bump_weight = self.bump_weight.saturating_sub(self.bump_step);
         let weight = (self.bump_weight >> 1) as i64;
 
-        let mut motions = [Motion::default(); AXES];
         let mut moving = false;
-        for ((axis, settings), motion) in self.axes.iter_mut().zip(&config.axes).zip(&mut motions) {
-            if closing {
-                axis.trajectory.reset(axis.position);
-                axis.feedforward = FeedforwardState::REST;
-                axis.feedback = FeedbackState::REST;
-                axis.excess = Volt::ZERO;
-            }
-            let [low, high] = settings.travel;
-            *motion = axis.trajectory.step(table, low, high);
+        for (axis, settings) in self.axes.iter_mut().zip(&config.axes) {
+            axis.lead(settings, table, closing);
             moving |= axis.trajectory.is_moving();
         }
         self.advance_state(moving);
 
+        let [a, b, c] = &self.axes;
+        let motions = [a.motion, b.motion, c.motion];
         let [m0, m1, m2] = motions;
         let [c0, c1, c2] = &config.axes;
         let [d0, d1, d2] = [
@@ -401,6 +398,19 @@ struct Step {
 }
 
 impl Axis {
+    /// Where the reference goes. On the tick that closes the loop it starts where the stage is, and nothing is remembered.
+    #[inline(always)]
+    fn lead(&mut self, config: &AxisConfig, table: &Table, closing: bool) {
+        if closing {
+            self.trajectory.reset(self.position);
+            self.feedforward.reset();
+            self.feedback.reset();
+            self.excess = Volt::ZERO;
+        }
+        let [low, high] = config.travel;
+        self.motion = self.trajectory.step(table, low, high);
+    }
+
     #[inline(always)]
     fn control(&mut self, config: &AxisConfig, step: Step) {
         let Step { motion, others, creep_slot, rebase, weight } = step;

@@ -30,6 +30,13 @@ impl CreepState {
     /// Nothing has crept.
     pub const REST: Self = Self { elements: [Wide::ZERO; MAX_CREEP], sum: Um::ZERO };
 
+    /// As [`CreepState::REST`], in place.
+    #[inline(always)]
+    pub fn reset(&mut self) {
+        crate::math::fill(&mut self.elements, Wide::ZERO);
+        self.sum = Um::ZERO;
+    }
+
     /// Displacement by creep.
     #[inline(always)]
     pub const fn displacement(&self) -> Um {

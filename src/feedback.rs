@@ -41,8 +41,15 @@ impl FeedbackState {
         integral: Wide::ZERO,
         derivative: Volt::ZERO,
         weighted: Um::ZERO,
-        notches: [NotchState { x1: 0, x2: 0, y1: 0, y2: 0, error: 0 }; MAX_NOTCH],
+        notches: [NotchState::REST; MAX_NOTCH],
     };
+
+    /// As [`FeedbackState::REST`], in place.
+    #[inline(always)]
+    pub(crate) fn reset(&mut self) {
+        (self.integral, self.derivative, self.weighted) = (Wide::ZERO, Volt::ZERO, Um::ZERO);
+        crate::math::fill(&mut self.notches, NotchState::REST);
+    }
 }
 
 impl Feedback {

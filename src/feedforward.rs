@@ -54,6 +54,14 @@ impl FeedforwardState {
         creep: CreepState::REST,
         stack: Volt::ZERO,
     };
+
+    /// As [`FeedforwardState::REST`], in place.
+    #[inline(always)]
+    pub(crate) fn reset(&mut self) {
+        self.hysteresis.reset(MicroCoulomb::ZERO);
+        self.creep.reset();
+        self.stack = Volt::ZERO;
+    }
 }
 
 impl Feedforward {

@@ -29,6 +29,11 @@ pub struct NotchState {
     pub(crate) error: i32,
 }
 
+impl NotchState {
+    /// Nothing has passed yet.
+    pub(crate) const REST: Self = Self { x1: 0, x2: 0, y1: 0, y2: 0, error: 0 };
+}
+
 impl Notch {
     /// Notch at `turns` cycles per sample (0 < turns < 0.5) with damping ratio `damping` of its poles and `depth` (0 to 1) left
     /// at the centre.

@@ -27,6 +27,12 @@ impl HysteresisState {
     pub const fn relaxed(charge: MicroCoulomb) -> Self {
         Self { elastic: [MicroCoulomb::ZERO; MAX_MAXWELL], charge }
     }
+    /// As [`HysteresisState::relaxed`], in place.
+    #[inline(always)]
+    pub fn reset(&mut self, charge: MicroCoulomb) {
+        crate::math::fill(&mut self.elastic, MicroCoulomb::ZERO);
+        self.charge = charge;
+    }
     /// Take `charge` as the present one without slipping any element.
     #[inline(always)]
     pub fn rebase(&mut self, charge: MicroCoulomb) {

@@ -122,6 +122,16 @@ pub(crate) fn phase_of_turns(turns: f32) -> u32 {
     (fraction as f64 * 4_294_967_296.0) as u64 as u32
 }
 
+/// Sets all places to a value, one by one. The fence keeps the compiler from making a call to `memset` of it, which does not lie in
+/// the memory that the board's interrupt runs from.
+#[inline(always)]
+pub(crate) fn fill<T: Copy>(places: &mut [T], value: T) {
+    for place in places {
+        *place = value;
+        core::sync::atomic::compiler_fence(core::sync::atomic::Ordering::SeqCst);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -25,8 +25,8 @@ pub const FORMAT: u16 = 1;
 pub const SLOT_BYTES: usize = 4_096;
 /// Bytes of the header.
 const HEADER: usize = 16;
-/// Longest payload.
-pub const MAX_PAYLOAD: usize = SLOT_BYTES - HEADER;
+/// Longest payload: the same settings travel in one frame.
+pub const MAX_PAYLOAD: usize = crate::link::frame::MAX_PAYLOAD;
 const MAGIC: u32 = 0x4753_4c46;
 
 /// The memory did not do what it should.

@@ -27,6 +27,12 @@ pub struct Motion {
     pub acceleration: UmPerMs2,
 }
 
+impl Motion {
+    /// At zero, at rest.
+    pub const REST: Self =
+        Self { position: Um::ZERO, velocity: UmPerMs::ZERO, acceleration: UmPerMs2::ZERO };
+}
+
 /// Reference of one axis.
 #[derive(Clone, Copy, Debug)]
 pub struct Trajectory {

@@ -11,7 +11,6 @@
 //! the watch and the lamps run on the thread executor. Wiring, clock tree, memory map and what was never run on silicon:
 //! `docs/board.md`.
 
-
 use defmt_rtt as _;
 use embassy_executor::{Executor, InterruptExecutor};
 use embassy_stm32::interrupt;

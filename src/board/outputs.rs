@@ -77,11 +77,7 @@ pub fn write(codes: [u16; AXES]) {
 
 /// The codes at the pins.
 pub fn read() -> [u16; AXES] {
-    [
-        pac::DAC1.dor(0).read().dor(),
-        pac::DAC1.dor(1).read().dor(),
-        pac::DAC2.dor(0).read().dor(),
-    ]
+    [pac::DAC1.dor(0).read().dor(), pac::DAC1.dor(1).read().dor(), pac::DAC2.dor(0).read().dor()]
 }
 
 /// Returns the outputs slowly to [`PARK_CODE`] without the controller, for fault handlers that the tick cannot interrupt. Takes

@@ -26,6 +26,8 @@ use super::{converters, crash, outputs, timebase};
 use crate::link::message::{HISTOGRAM_BIN_CYCLES, HISTOGRAM_BINS};
 use crate::{AXES, Command, Config, Controller, Faults, Flags, Record, Refusal, Sample, Table};
 
+/// Orders to the tick, and answers, that may wait.
+const ORDERS: usize = 4;
 /// Records between the tick and the pump, which empties the queue every millisecond.
 pub const RECORDS: usize = 64;
 /// Ticks for which a converter may deliver nothing.
@@ -121,8 +123,8 @@ pub static HEARTBEAT: AtomicU32 = AtomicU32::new(0);
 /// Sets up what the tick needs. Once, before its interrupt is enabled.
 pub fn init(config: Config, faults: Faults) -> Ends {
     static RECORD_QUEUE: StaticCell<Queue<Entry, RECORDS>> = StaticCell::new();
-    static ORDER_QUEUE: StaticCell<Queue<Order, 4>> = StaticCell::new();
-    static ANSWER_QUEUE: StaticCell<Queue<Answer, 4>> = StaticCell::new();
+    static ORDER_QUEUE: StaticCell<Queue<Order, ORDERS>> = StaticCell::new();
+    static ANSWER_QUEUE: StaticCell<Queue<Answer, ORDERS>> = StaticCell::new();
     let (records_in, records) = RECORD_QUEUE.init_with(Queue::new).split();
     let (orders, orders_out) = ORDER_QUEUE.init_with(Queue::new).split();
     let (answers_in, answers) = ANSWER_QUEUE.init_with(Queue::new).split();
@@ -201,10 +203,15 @@ unsafe fn ADC3() {
     let faults = state.look_around(missing != 0);
     state.controller.trip(faults);
     let missed = state.count_missed(entered);
+    // SAFETY: `init` made it from a queue of this length; one place always stays empty. The ends of a queue have forgotten its
+    // length: this lets indices wrap by a mask instead of a division that could be by zero.
+    unsafe { core::hint::assert_unchecked(state.orders.capacity() == ORDERS - 1) };
     match state.orders.dequeue() {
         Some(Order::Command(command)) => {
             let tick = TICKS.load(Ordering::Relaxed);
             let answer = state.controller.command(config, command).map(|()| tick);
+            // SAFETY: as above.
+            unsafe { core::hint::assert_unchecked(state.answers.capacity() == ORDERS - 1) };
             // One command waits for its answer at a time, so there is room.
             let _ = state.answers.enqueue(answer);
         }
@@ -225,6 +232,8 @@ unsafe fn ADC3() {
     state.was_late = timebase::has_triggered();
 
     let cycles = timebase::cycles().wrapping_sub(entered);
+    // SAFETY: as above.
+    unsafe { core::hint::assert_unchecked(state.records.capacity() == RECORDS - 1) };
     if state.records.enqueue(Entry { record, gauge, cycles: cycles.min(0xffff) as u16 }).is_err() {
         bump(&LOST_RECORDS, 1);
     }
