@@ -8,6 +8,7 @@ use anyhow::Result;
 use clap::{Parser, Subcommand};
 
 mod debian;
+mod firmware;
 mod test;
 
 #[derive(Parser)]
@@ -21,11 +22,14 @@ struct Cli {
 enum Command {
     /// Everything that has to pass: format, lints, tests, firmware, emulation.
     Test(test::Args),
+    /// Build the board's image, measure it, and prove what its control tick calls.
+    Firmware(firmware::Args),
 }
 
 fn main() -> Result<()> {
     match Cli::parse().command {
         Command::Test(args) => test::run(&args),
+        Command::Firmware(args) => firmware::run(&args),
     }
 }
 
