@@ -1,0 +1,246 @@
+//! The nominal plant against figures, against an adaptive solver, and against itself at other steps.
+
+mod common;
+
+use common::{one_axis, run, run_from, triangle, worst};
+use host_sim::rig::Rig;
+use host_sim::{Axes, Initial, Input, Memory, Options, Plant, simulate};
+use ode_solvers::{DVector, Dop853, System};
+
+/// Continuous-time Goldfarb-Celanovic stack with amplifier, from its equations alone. State: amplifier V, x m,
+/// velocity m/s, element voltages V.
+struct Continuous {
+    rig: Rig,
+    target_v: f64,
+}
+
+impl System<f64, DVector<f64>> for Continuous {
+    fn system(&self, _t: f64, y: &DVector<f64>, dy: &mut DVector<f64>) {
+        let axis = &self.rig.axes[0];
+        let piezo = &axis.piezo;
+        let amplifier_rate = (self.target_v - y[0]) / axis.amplifier.time_constant_s;
+        let elements = &y.as_slice()[3..];
+        let transducer = y[0] - elements.iter().sum::<f64>();
+        // q = T x + C v_z and v_z' = v' - sum k_i q' over the elements that do not slip. Which slip depends on the sign
+        // of q', which is that of T w + C v' since the slopes are positive.
+        let push = piezo.transformer_n_per_v * y[2] + piezo.capacitance_f * amplifier_rate;
+        let held = |i: usize| {
+            !(elements[i].abs() >= piezo.hysteresis.limit_v[i] && elements[i] * push > 0.0)
+        };
+        let slopes: f64 = (0..elements.len())
+            .filter(|&i| held(i))
+            .map(|i| 1.0 / piezo.hysteresis.capacitance_f[i])
+            .sum();
+        let current = push / (1.0 + piezo.capacitance_f * slopes);
+        dy[0] = amplifier_rate;
+        dy[1] = y[2];
+        let stiffness = piezo.stiffness_n_per_m + axis.mechanism.stiffness_n_per_m;
+        dy[2] = (piezo.transformer_n_per_v * transducer
+            - piezo.damping_n_s_per_m * y[2]
+            - stiffness * y[1])
+            / piezo.mass_kg;
+        for i in 0..elements.len() {
+            dy[3 + i] =
+                if held(i) { current / piezo.hysteresis.capacitance_f[i] } else { 0.0 };
+        }
+    }
+}
+
+#[test]
+fn agrees_with_an_adaptive_ode_solver() {
+    // 20 ms of held voltages that go up and down, as a converter gives them.
+    let rate = 10_000.0;
+    let drive = |t: f64| 40.0 + 40.0 * (2.0 * std::f64::consts::PI * 70.0 * t).sin() - 40.0 * (-t * 300.0).exp();
+    let rig = one_axis();
+    let ours = run(&rig, rate, 0.02, drive);
+    let mut state = DVector::zeros(11);
+    state[0] = drive(0.0);
+    // At rest at the first drive, elements without voltage.
+    let piezo = &rig.axes[0].piezo;
+    state[1] = piezo.transformer_n_per_v * state[0] / (piezo.stiffness_n_per_m + 4.8e6);
+    let mut worst: f64 = 0.0;
+    for tick in 0..ours.position_m[0].len() {
+        worst = worst.max((state[1] - ours.position_m[0][tick]).abs());
+        let system = Continuous { rig: rig.clone(), target_v: drive(tick as f64 / rate) };
+        let mut solver = Dop853::new(system, 0.0, 1.0 / rate, 1.0 / rate, state, 1e-10, 1e-14);
+        solver.integrate().unwrap();
+        state = solver.y_out().last().unwrap().clone();
+        // The solver steps a little beyond a limit before it sees it.
+        for (i, limit) in piezo.hysteresis.limit_v.iter().enumerate() {
+            state[3 + i] = state[3 + i].clamp(-limit, *limit);
+        }
+    }
+    assert!(worst < 0.2e-9, "{:.3} nm from the adaptive solver", worst * 1e9);
+}
+
+#[test]
+fn does_not_depend_on_the_step() {
+    // The same held voltages at 10 kHz, with ticks of 100 us and of 25 us.
+    let rig = one_axis();
+    let held = |t: f64| {
+        let t = ((t + 1e-9) * 10_000.0).floor() / 10_000.0;
+        triangle(90.0, 20.0)(t) + 5.0 * (2.0 * std::f64::consts::PI * 333.0 * t).sin()
+    };
+    let coarse = run(&rig, 10_000.0, 0.3, held);
+    let fine = run(&rig, 40_000.0, 0.3, held);
+    let every: Vec<f64> = fine.position_m[0].iter().step_by(4).copied().collect();
+    let difference = worst(&coarse.position_m[0], &every);
+    assert!(difference < 0.1e-9, "{:.4} nm", difference * 1e9);
+}
+
+#[test]
+fn gives_the_strokes_worked_out_for_this_rig() {
+    // notes/physics.md, section 1: 90 V, first rise 10.19 um and settled loop 8.89 um in the mechanism, 11.19 um first
+    // rise and 6.3 % loop stand-alone.
+    let mounted = run(&one_axis(), 10_000.0, 2.0, triangle(90.0, 1.0));
+    let x = &mounted.position_m[0];
+    assert!((x[5000] - 10.19e-6).abs() < 0.02e-6, "first rise {}", x[5000]);
+    assert!((x[15000] - x[10000] - 8.89e-6).abs() < 0.02e-6, "settled {}", x[15000] - x[10000]);
+    let mut alone = one_axis();
+    alone.axes[0].mechanism.stiffness_n_per_m = 0.0;
+    let x = run(&alone, 10_000.0, 2.0, triangle(90.0, 1.0)).position_m.remove(0);
+    assert!((x[5000] - 11.19e-6).abs() < 0.02e-6, "first rise {}", x[5000]);
+    let stroke = x[15000] - x[10000];
+    let widest = (1..5000).map(|i| x[20000 - i] - x[10000 + i]).fold(0.0, f64::max);
+    assert!((widest / stroke - 0.063).abs() < 0.004, "width {:.4}", widest / stroke);
+}
+
+#[test]
+fn lost_ticks_hold_the_drive() {
+    let rig = one_axis();
+    let drive: Vec<f64> = (0..2000).map(|i| triangle(60.0, 20.0)(f64::from(i) / 1e4)).collect();
+    let keep = |i: &usize| !(700..900).contains(i);
+    let ticks: Vec<u64> = (0..2000).filter(keep).map(|i| i as u64 + 50).collect();
+    let kept: Vec<f64> = (0..2000).filter(keep).map(|i| drive[i]).collect();
+    let mut held = drive.clone();
+    held[700..900].fill(drive[699]);
+    let input = |drive_v: &[&[f64]], ticks: Option<&[u64]>| {
+        let input = Input {
+            sample_rate_hz: 1e4,
+            start_s: 0.0,
+            ticks,
+            drive_v,
+            monitor_v: None,
+            initial: &[],
+        };
+        simulate(&rig, &input, Axes::All).unwrap().position_m.remove(0)
+    };
+    let whole = input(&[&held], None);
+    let lossy = input(&[&kept], Some(&ticks));
+    let expected: Vec<f64> = (0..2000).filter(keep).map(|i| whole[i]).collect();
+    assert_eq!(lossy, expected);
+}
+
+#[test]
+fn a_state_carries_on_where_it_was_taken() {
+    let rig = one_axis();
+    let drive = |t: f64| triangle(80.0, 3.0)(t);
+    let whole = run(&rig, 1e4, 1.0, drive);
+    let first = run(&rig, 1e4, 0.5001, drive);
+    // At rest at its end: held for long enough that nothing moves.
+    let rest = run(&rig, 1e4, 0.5, |t| if t < 0.4 { drive(t) } else { 10.0 });
+    let rest_of: Vec<f64> = (0..1000).map(|i| 10.0 + f64::from(i) * 0.01).collect();
+    let initial = [rest.end[0].clone()];
+    let input = Input {
+        sample_rate_hz: 1e4,
+        start_s: 0.0,
+        ticks: None,
+        drive_v: &[&rest_of],
+        monitor_v: None,
+        initial: &initial,
+    };
+    let carried = simulate(&rig, &input, Axes::All).unwrap();
+    assert!((carried.position_m[0][0] - rest.position_m[0][4999]).abs() < 1e-13);
+    assert!(worst(&whole.position_m[0][..5001], &first.position_m[0]) == 0.0);
+}
+
+#[test]
+fn a_measured_monitor_replaces_drive_and_amplifier() {
+    let rig = one_axis();
+    let drive = triangle(80.0, 3.0);
+    let simulated = run(&rig, 1e4, 0.5, &drive);
+    let nothing = vec![0.0; 5000];
+    let initial = [Initial { memory: Memory::Virgin, ..Initial::default() }];
+    let input = Input {
+        sample_rate_hz: 1e4,
+        start_s: 0.0,
+        ticks: None,
+        drive_v: &[&nothing],
+        monitor_v: Some(&[&simulated.monitor_v[0]]),
+        initial: &initial,
+    };
+    let driven = simulate(&rig, &input, Axes::All).unwrap();
+    assert_eq!(driven.position_m, simulated.position_m);
+}
+
+#[test]
+fn other_rates_and_other_axes() {
+    for rate in [200.0, 1000.0, 6400.0, 50_000.0] {
+        let x = run(&one_axis(), rate, 2.0, triangle(90.0, 1.0)).position_m.remove(0);
+        let peak = x[(1.5 * rate) as usize] - x[rate as usize];
+        assert!((peak - 8.89e-6).abs() < 0.15e-6, "{rate} Hz: {peak}");
+    }
+    let rig = Rig::named("handley").unwrap();
+    let only: Vec<f64> = (0..100).map(f64::from).collect();
+    let input = Input {
+        sample_rate_hz: 1e4,
+        start_s: 0.0,
+        ticks: None,
+        drive_v: &[&only, &only, &only],
+        monitor_v: None,
+        initial: &[],
+    };
+    let output = simulate(&rig, &input, Axes::Only(0b010)).unwrap();
+    assert!(output.position_m[0].is_empty() && output.position_m[2].is_empty());
+    assert_eq!(output.position_m[1].len(), 100);
+    let all = simulate(&rig, &input, Axes::All).unwrap();
+    assert_eq!(all.position_m[1], output.position_m[1]);
+}
+
+#[test]
+fn inputs_that_cannot_be_are_refused() {
+    let rig = one_axis();
+    let good = [0.0, 1.0];
+    let base = Input {
+        sample_rate_hz: 1e4,
+        start_s: 0.0,
+        ticks: None,
+        drive_v: &[&good],
+        monitor_v: None,
+        initial: &[],
+    };
+    let refused = |input: Input| simulate(&rig, &input, Axes::All).unwrap_err().to_string();
+    assert!(refused(Input { sample_rate_hz: f64::NAN, ..base }).contains("sample_rate_hz"));
+    assert!(refused(Input { drive_v: &[], ..base }).contains("expected a drive for each of the 1"));
+    assert!(refused(Input { drive_v: &[&[]], ..base }).contains("found none"));
+    assert!(refused(Input { drive_v: &[&[0.0, f64::NAN]], ..base }).contains("sample 1"));
+    assert!(refused(Input { ticks: Some(&[3, 3]), ..base }).contains("rising"));
+    assert!(refused(Input { ticks: Some(&[3]), ..base }).contains("expected 2 ticks"));
+    assert!(refused(Input { ticks: Some(&[3, u64::MAX]), ..base }).contains("at most"));
+}
+
+#[test]
+fn the_plant_is_the_batch_with_noise() {
+    let rig = Rig::named("handley").unwrap();
+    let drive = |axis: usize, t: f64| triangle(30.0 * (axis + 1) as f64, 20.0)(t);
+    let batch = run_from(&rig, 1e4, 0.0, 0.2, drive);
+    let mut quiet = Plant::new(&rig, Options { noise: false, ..Options::default() }).unwrap();
+    let mut noisy = Plant::new(&rig, Options { seed: 7, ..Options::default() }).unwrap();
+    let mut again = Plant::new(&rig, Options { seed: 7, ..Options::default() }).unwrap();
+    let mut sums = [0.0; 2];
+    for i in 0..2000 {
+        let volts: Vec<f64> = (0..3).map(|axis| drive(axis, f64::from(i) / 1e4)).collect();
+        let clean = quiet.step(&volts).to_vec();
+        let sensed = noisy.step(&volts).to_vec();
+        assert_eq!(sensed, again.step(&volts));
+        for axis in 0..3 {
+            assert_eq!(clean[axis].sensed_m, batch.position_m[axis][i as usize]);
+            assert_eq!(clean[axis].monitor_v, batch.monitor_v[axis][i as usize]);
+            assert_eq!(sensed[axis].true_m, clean[axis].true_m);
+            sums[0] += (sensed[axis].sensed_m - clean[axis].sensed_m).powi(2) / 6000.0;
+            sums[1] += (sensed[axis].monitor_v - clean[axis].monitor_v).powi(2) / 6000.0;
+        }
+    }
+    assert!((sums[0].sqrt() - 4.0e-9).abs() < 0.15e-9, "{}", sums[0].sqrt());
+    assert!((sums[1].sqrt() - 0.0202).abs() < 0.0007, "{}", sums[1].sqrt());
+}
