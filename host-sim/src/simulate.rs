@@ -3,7 +3,6 @@
 //! Only the axes that the wanted readings depend on are simulated. Lost ticks hold the drive.
 
 use crate::rig::Rig;
-use crate::stages::axis::AxisSim;
 use crate::stages::group::Group;
 use crate::stages::model::Model;
 use crate::stages::sensor::SensorSim;
@@ -179,8 +178,7 @@ fn run(rig: &Rig, input: &Input, wanted: Axes, samples: usize) -> Result<Output,
         needed[sensor] = true;
         sensors.axes_of(sensor).into_iter().for_each(|axis| needed[axis] = true);
     }
-    let axes = model.axes.into_iter().map(|axis| AxisSim::new(axis, step_s)).collect();
-    let groups = Group::split(axes, &model.springs);
+    let groups = Group::split(model.axes, &model.springs, step_s);
     let mut output = Output {
         position_m: vec![Vec::new(); n],
         monitor_v: vec![Vec::new(); n],

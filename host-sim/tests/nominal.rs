@@ -1,11 +1,11 @@
-//! The nominal plant against figures, against an adaptive solver, and against itself at other steps.
+//! The nominal plant against figures, against a general ODE solver, and against itself at other steps.
 
 mod common;
 
-use common::{one_axis, run, run_from, triangle, worst};
+use common::{one_axis, rms, run, run_from, triangle, worst};
 use host_sim::rig::Rig;
 use host_sim::{Axes, Initial, Input, Memory, Options, Plant, simulate};
-use ode_solvers::{DVector, Dop853, System};
+use ode_solvers::{DVector, Rk4, System};
 
 /// Continuous-time Goldfarb-Celanovic stack with amplifier, from its equations alone. State: amplifier V, x m,
 /// velocity m/s, element voltages V.
@@ -40,17 +40,19 @@ impl System<f64, DVector<f64>> for Continuous {
             - stiffness * y[1])
             / piezo.mass_kg;
         for i in 0..elements.len() {
-            dy[3 + i] =
-                if held(i) { current / piezo.hysteresis.capacitance_f[i] } else { 0.0 };
+            dy[3 + i] = if held(i) { current / piezo.hysteresis.capacitance_f[i] } else { 0.0 };
         }
     }
 }
 
 #[test]
-fn agrees_with_an_adaptive_ode_solver() {
+fn agrees_with_an_ode_solver() {
+    // A thousandth of a tick a step: slipping starts and ends inside steps, which an adaptive solver does not survive.
     // 20 ms of held voltages that go up and down, as a converter gives them.
     let rate = 10_000.0;
-    let drive = |t: f64| 40.0 + 40.0 * (2.0 * std::f64::consts::PI * 70.0 * t).sin() - 40.0 * (-t * 300.0).exp();
+    let drive = |t: f64| {
+        40.0 + 40.0 * (2.0 * std::f64::consts::PI * 70.0 * t).sin() - 40.0 * (-t * 300.0).exp()
+    };
     let rig = one_axis();
     let ours = run(&rig, rate, 0.02, drive);
     let mut state = DVector::zeros(11);
@@ -58,11 +60,12 @@ fn agrees_with_an_adaptive_ode_solver() {
     // At rest at the first drive, elements without voltage.
     let piezo = &rig.axes[0].piezo;
     state[1] = piezo.transformer_n_per_v * state[0] / (piezo.stiffness_n_per_m + 4.8e6);
-    let mut worst: f64 = 0.0;
+    let mut theirs = Vec::new();
     for tick in 0..ours.position_m[0].len() {
-        worst = worst.max((state[1] - ours.position_m[0][tick]).abs());
+        theirs.push(state[1]);
         let system = Continuous { rig: rig.clone(), target_v: drive(tick as f64 / rate) };
-        let mut solver = Dop853::new(system, 0.0, 1.0 / rate, 1.0 / rate, state, 1e-10, 1e-14);
+        // The solver rounds the number of steps up: half a step less than a tick is a thousand steps.
+        let mut solver = Rk4::new(system, 0.0, state, 0.9995 / rate, 1.0e-3 / rate);
         solver.integrate().unwrap();
         state = solver.y_out().last().unwrap().clone();
         // The solver steps a little beyond a limit before it sees it.
@@ -70,7 +73,8 @@ fn agrees_with_an_adaptive_ode_solver() {
             state[3 + i] = state[3 + i].clamp(-limit, *limit);
         }
     }
-    assert!(worst < 0.2e-9, "{:.3} nm from the adaptive solver", worst * 1e9);
+    let (rms, worst) = (rms(&theirs, &ours.position_m[0]), worst(&theirs, &ours.position_m[0]));
+    assert!(rms < 0.1e-9 && worst < 0.6e-9, "{:.3} nm rms, {:.3} nm worst", rms * 1e9, worst * 1e9);
 }
 
 #[test]
@@ -84,8 +88,28 @@ fn does_not_depend_on_the_step() {
     let coarse = run(&rig, 10_000.0, 0.3, held);
     let fine = run(&rig, 40_000.0, 0.3, held);
     let every: Vec<f64> = fine.position_m[0].iter().step_by(4).copied().collect();
-    let difference = worst(&coarse.position_m[0], &every);
-    assert!(difference < 0.1e-9, "{:.4} nm", difference * 1e9);
+    // What is left is the 32 kHz ring inside the tick in which an element starts to slip.
+    let (rms, worst) = (rms(&coarse.position_m[0], &every), worst(&coarse.position_m[0], &every));
+    assert!(
+        rms < 0.05e-9 && worst < 0.5e-9,
+        "{:.3} nm rms, {:.3} nm worst",
+        rms * 1e9,
+        worst * 1e9
+    );
+}
+
+#[test]
+fn a_heavy_mechanism_does_not_depend_on_the_step() {
+    // 0.5 kg at the stack: a 1.6 kHz mode rings for tens of ticks after each edge, a radian a tick.
+    let mut rig = one_axis();
+    rig.axes[0].mechanism.mass_kg = 0.5;
+    rig.axes[0].mechanism.damping_n_s_per_m = 200.0;
+    let held = |t: f64| if ((t + 1e-9) * 40.0).floor() as i64 % 2 == 0 { 0.0 } else { 80.0 };
+    let coarse = run(&rig, 10_000.0, 0.2, held);
+    let fine = run(&rig, 80_000.0, 0.2, held);
+    let every: Vec<f64> = fine.position_m[0].iter().step_by(8).copied().collect();
+    let (rms, worst) = (rms(&coarse.position_m[0], &every), worst(&coarse.position_m[0], &every));
+    assert!(rms < 0.6e-9 && worst < 4.0e-9, "{:.3} nm rms, {:.3} nm worst", rms * 1e9, worst * 1e9);
 }
 
 #[test]
@@ -177,8 +201,11 @@ fn a_measured_monitor_replaces_drive_and_amplifier() {
 fn other_rates_and_other_axes() {
     for rate in [200.0, 1000.0, 6400.0, 50_000.0] {
         let x = run(&one_axis(), rate, 2.0, triangle(90.0, 1.0)).position_m.remove(0);
-        let peak = x[(1.5 * rate) as usize] - x[rate as usize];
-        assert!((peak - 8.89e-6).abs() < 0.15e-6, "{rate} Hz: {peak}");
+        let cycle = &x[rate as usize..];
+        let stroke =
+            cycle.iter().copied().fold(0.0, f64::max) - cycle.iter().copied().fold(1.0, f64::min);
+        // At 200 Hz the held triangle tops out at 89.1 V.
+        assert!((stroke - 8.89e-6).abs() < 0.12e-6, "{rate} Hz: {stroke}");
     }
     let rig = Rig::named("handley").unwrap();
     let only: Vec<f64> = (0..100).map(f64::from).collect();

@@ -55,28 +55,48 @@ fn an_unknown_key_is_named() {
     let error = message(&format!("{}\n[axis.effects.creeep]\nper_decade = 0.01\n", handley()));
     assert!(error.contains("creeep: unknown effect") && error.contains("creep,"), "{error}");
     let error = message(&format!("{}\n[axis.effects.creep]\nper_year = 0.01\n", handley()));
-    assert!(error.contains("creep.per_year: unknown key") && error.contains("per_decade"), "{error}");
+    assert!(
+        error.contains("creep.per_year: unknown key") && error.contains("per_decade"),
+        "{error}"
+    );
     let error = message(&format!("{}\n[axis.effects]\ncreep = 1\n", handley()));
     assert!(error.contains("creep: expected a table"), "{error}");
-    let error = message(&format!("{}\n[[axis.effects.sensor-crosstalk]]\nshare = 0.1\n", handley()));
+    let error =
+        message(&format!("{}\n[[axis.effects.sensor-crosstalk]]\nshare = 0.1\n", handley()));
     assert!(error.contains("sensor-crosstalk.from: expected"), "{error}");
 }
 
 #[test]
 fn impossible_values_are_refused() {
     let cases = [
-        ("capacitance_f = 0.000001063", "capacitance_f = -1.0", "axis 1: piezo.capacitance_f: expected a number above 0, found -1"),
+        (
+            "capacitance_f = 0.000001063",
+            "capacitance_f = -1.0",
+            "axis 1: piezo.capacitance_f: expected a number above 0, found -1",
+        ),
         ("min_v = -10.0", "min_v = 200.0", "amplifier.min_v: expected less than max_v"),
         ("sample_rate_hz = 10000.0", "sample_rate_hz = 0.0", "sample_rate_hz: expected 1 to"),
         ("sample_rate_hz = 10000.0", "sample_rate_hz = nan", "sample_rate_hz: expected 1 to"),
         ("time_constant_s = 0.0004", "time_constant_s = inf", "amplifier.time_constant_s"),
         ("limit_v = [0.372, ", "limit_v = [", "as many capacitance_f as limit_v, found 8 and 7"),
-        ("noise_rms_m = 0.000000004", "noise_rms_m = -1.0", "sensor.noise_rms_m: expected 0 or more"),
-        ("sample_rate_hz = 10000.0", "sample_rate_hz = 10000.0\noutput_map = [[1.0, 0.0]]", "output_map: expected 3 rows of 3"),
-        ("sample_rate_hz = 10000.0", "sample_rate_hz = 10000.0\nkind = \"boat\"", "kind: expected \"stage\""),
+        (
+            "noise_rms_m = 0.000000004",
+            "noise_rms_m = -1.0",
+            "sensor.noise_rms_m: expected 0 or more",
+        ),
+        (
+            "sample_rate_hz = 10000.0",
+            "sample_rate_hz = 10000.0\noutput_map = [[1.0, 0.0]]",
+            "output_map: expected 3 rows of 3",
+        ),
+        (
+            "sample_rate_hz = 10000.0",
+            "sample_rate_hz = 10000.0\nkind = \"boat\"",
+            "kind: expected \"stage\"",
+        ),
         ("name = \"handley-2002\"", "", "missing key `name`"),
         ("name = \"handley-2002\"", "name = 7", "expected a string"),
-        ("[[axis]]", "[[axe]]", "unknown key `axe`"),
+        ("[[axis]]", "[[axe]]\nx = 1\n[[axis]]", "unknown key `axe`"),
         ("= ", "= =", "line 1: "),
     ];
     for (from, to, expected) in cases {
@@ -88,9 +108,11 @@ fn impossible_values_are_refused() {
     let beyond = format!("{}\n[axis.effects.creep]\nper_decade = 7\n", handley());
     let error = message(&beyond);
     assert!(error.contains("creep.per_decade on axis 3: expected -0.1 to 0.3"), "{error}");
-    let itself = format!("{}\n[[axis.effects.drive-crosstalk]]\nfrom = 3\nshare = 0.1\n", handley());
+    let itself =
+        format!("{}\n[[axis.effects.drive-crosstalk]]\nfrom = 3\nshare = 0.1\n", handley());
     assert!(message(&itself).contains("two different axes"));
-    let absent = format!("{}\n[[axis.effects.drive-crosstalk]]\nfrom = 4\nshare = 0.1\n", handley());
+    let absent =
+        format!("{}\n[[axis.effects.drive-crosstalk]]\nfrom = 4\nshare = 0.1\n", handley());
     assert!(message(&absent).contains("expected axes 1 to 3"));
 }
 

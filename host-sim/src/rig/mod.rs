@@ -12,6 +12,7 @@ mod validate;
 use serde::{Deserialize, Serialize};
 
 pub use settings::Setting;
+pub use validate::MAX_AXES;
 
 /// Why a rig cannot be used: one line that names the file and the key.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

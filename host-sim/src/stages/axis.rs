@@ -26,19 +26,42 @@ pub struct AxisSim {
     drag_v_per_c: f64,
     skew_per_c: f64,
     step_s: f64,
+    levels_per_slope: f64,
     // State at the start of the tick.
     output_v: f64,
     transducer_v: f64,
     force_n: f64,
     // Of the tick being solved.
     input_v: f64,
+    level: usize,
     free_m: f64,
+    beta: f64,
     slow_v: f64,
     slow_per_v: f64,
     limit_scale: f64,
     next_transducer_v: f64,
     next_position_m: f64,
     next_force_n: f64,
+}
+
+/// Levels of the stiffening by the hysteresis branch, from all elements slipping to none.
+const LEVELS: usize = 9;
+
+/// Stiffness that the charge branch adds to the mechanism when elements of slope `j/(LEVELS-1)` of all hold, N/m:
+/// with `v_z = v - S q`, `q = T x + C v_z`, the force `T v_z` falls by `T^2 S/(1 + C S)` a metre.
+fn stiffening(model: &AxisModel) -> Vec<f64> {
+    let piezo = &model.piezo;
+    let all: f64 = piezo.slopes_v_per_c.iter().sum();
+    if all == 0.0 {
+        return vec![0.0];
+    }
+    let transformer = piezo.transformer_n_per_v;
+    (0..LEVELS)
+        .map(|j| {
+            let slope = all * j as f64 / (LEVELS - 1) as f64;
+            transformer * transformer * slope / (1.0 + piezo.capacitance_f * slope)
+        })
+        .collect()
 }
 
 /// One slow strain: exact for a transducer voltage that is straight over the tick.
@@ -72,9 +95,14 @@ impl AxisSim {
     /// Build from a model, which gives up its blocks, for a tick of `step_s`.
     pub fn new(model: AxisModel, step_s: f64) -> Self {
         let shape_s = model.amplifier.time_constant_s;
-        let mechanism = LinearMechanism::new(&model, step_s, shape_s);
+        let added = stiffening(&model);
+        let mechanism = LinearMechanism::new(&model, step_s, shape_s, &added);
         let piezo = model.piezo;
+        let all_slopes: f64 = piezo.slopes_v_per_c.iter().sum();
+        let top = (added.len() - 1) as f64;
         Self {
+            level: 0,
+            levels_per_slope: if all_slopes > 0.0 { top / all_slopes } else { 0.0 },
             elements: MaxwellElements::new(&piezo.slopes_v_per_c, &piezo.limits_v),
             mechanism,
             forces: model.mechanism.forces,
@@ -91,6 +119,7 @@ impl AxisSim {
             force_n: 0.0,
             input_v: 0.0,
             free_m: 0.0,
+            beta: 0.0,
             slow_v: 0.0,
             slow_per_v: 0.0,
             limit_scale: 1.0,
@@ -183,7 +212,10 @@ impl AxisSim {
     #[inline]
     pub fn begin_at(&mut self, output_v: f64) {
         self.input_v = output_v;
-        self.free_m = self.mechanism.free_position_m(self.force_n);
+        let tangent = self.elements.tangent_towards(output_v >= self.output_v);
+        let level = (tangent * self.levels_per_slope + 0.5) as usize;
+        self.level = level.min(self.mechanism.levels() - 1);
+        (self.free_m, self.beta) = self.mechanism.end_position(self.level, self.force_n);
         self.next_position_m = self.mechanism.position_m();
         if !self.creep.is_empty() {
             self.slow_v = 0.0;
@@ -202,7 +234,7 @@ impl AxisSim {
     /// Solve for the end of the tick under a force from outside, N; returns the displacement there.
     #[inline]
     pub fn solve(&mut self, outside_n: f64) -> f64 {
-        let beta = self.mechanism.beta_m_per_n();
+        let beta = self.beta;
         let free = self.free_m + beta * (self.transformer * self.slow_v + outside_n);
         let per_volt = beta * self.transformer * (1.0 + self.slow_per_v);
         let forces_n = if self.forces.is_empty() {
@@ -254,7 +286,7 @@ impl AxisSim {
     #[inline]
     pub fn commit(&mut self) {
         self.elements.commit();
-        self.mechanism.advance(self.force_n, self.next_force_n);
+        self.mechanism.advance(self.level, self.force_n, self.next_force_n, self.next_position_m);
         for creep in &mut self.creep {
             creep.state_v = creep.decay * creep.state_v
                 + creep.from_start * self.transducer_v

@@ -1,7 +1,9 @@
 //! Axes that springs tie together, solved together; an axis on its own is a group of one.
 
 use super::axis::AxisSim;
-use super::model::CouplingSpring;
+use super::mechanism::substeps;
+use super::model::{AxisModel, CouplingSpring};
+use crate::rig::MAX_AXES;
 use crate::start::Initial;
 
 /// Displacement at which neighbours agree, m.
@@ -15,11 +17,13 @@ pub struct Group {
     pub members: Vec<usize>,
     axes: Vec<AxisSim>,
     springs: Vec<CouplingSpring>,
+    step_s: f64,
+    substeps: usize,
 }
 
 impl Group {
-    /// Split axes into groups by the springs between them.
-    pub fn split(axes: Vec<AxisSim>, springs: &[CouplingSpring]) -> Vec<Group> {
+    /// Build the axes of a rig for ticks of `step_s`, in groups by the springs between them.
+    pub fn split(axes: Vec<AxisModel>, springs: &[CouplingSpring], step_s: f64) -> Vec<Group> {
         let mut label: Vec<usize> = (0..axes.len()).collect();
         for spring in springs {
             let (a, b) = (label[spring.axes.0], label[spring.axes.1]);
@@ -29,18 +33,25 @@ impl Group {
                 }
             }
         }
-        let mut groups: Vec<Group> = Vec::new();
+        let mut models: Vec<(Vec<usize>, Vec<AxisModel>)> = Vec::new();
         let mut group_of = vec![usize::MAX; axes.len()];
         for (index, axis) in axes.into_iter().enumerate() {
             let first = label[index];
             if group_of[first] == usize::MAX {
-                group_of[first] = groups.len();
-                groups.push(Group { members: Vec::new(), axes: Vec::new(), springs: Vec::new() });
+                group_of[first] = models.len();
+                models.push((Vec::new(), Vec::new()));
             }
-            let group = &mut groups[group_of[first]];
-            group.members.push(index);
-            group.axes.push(axis);
+            let (members, models) = &mut models[group_of[first]];
+            members.push(index);
+            models.push(axis);
         }
+        let build = |(members, models): (Vec<usize>, Vec<AxisModel>)| {
+            let substeps = models.iter().map(|axis| substeps(axis, step_s)).max().unwrap_or(1);
+            let sim = |axis| AxisSim::new(axis, step_s / substeps as f64);
+            let axes = models.into_iter().map(sim).collect();
+            Group { members, axes, springs: Vec::new(), step_s, substeps }
+        };
+        let mut groups: Vec<Group> = models.into_iter().map(build).collect();
         for spring in springs {
             let group = &mut groups[group_of[label[spring.axes.0]]];
             let place = |axis: usize| {
@@ -90,6 +101,31 @@ impl Group {
     /// Hold `command(axis)` to the next tick, at session time `time_s`; or go to `output(axis)` if that is known.
     #[inline]
     pub fn advance(
+        &mut self,
+        command: impl Fn(usize) -> f64 + Copy,
+        output: impl Fn(usize) -> Option<f64> + Copy,
+        time_s: f64,
+    ) {
+        if self.substeps == 1 {
+            self.substep(command, output, time_s);
+            return;
+        }
+        let part = 1.0 / self.substeps as f64;
+        for left in (0..self.substeps).rev() {
+            // A measured output is taken to go straight from tick to tick.
+            let share = 1.0 / (left + 1) as f64;
+            let now: [f64; MAX_AXES] = std::array::from_fn(|axis| {
+                let slot = self.members.iter().position(|&member| member == axis);
+                slot.map_or(0.0, |slot| self.axes[slot].output_v())
+            });
+            let partly =
+                |axis: usize| output(axis).map(|end| now[axis] + share * (end - now[axis]));
+            self.substep(command, partly, time_s - left as f64 * part * self.step_s);
+        }
+    }
+
+    #[inline]
+    fn substep(
         &mut self,
         command: impl Fn(usize) -> f64 + Copy,
         output: impl Fn(usize) -> Option<f64>,

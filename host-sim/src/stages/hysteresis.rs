@@ -93,6 +93,12 @@ impl MaxwellElements {
         self.tangent
     }
 
+    /// Slope expected when the voltage goes on up or down, V/C.
+    #[inline]
+    pub fn tangent_towards(&self, rising: bool) -> f64 {
+        if rising == self.rising { self.tangent } else { self.all_slopes }
+    }
+
     /// Put the elements where `voltage_of(slope, limit, index)` says, held inside their limits.
     pub fn set_voltages(&mut self, voltage_of: impl Fn(f64, f64, usize) -> f64) {
         for i in 0..self.count {
@@ -126,7 +132,7 @@ impl MaxwellElements {
             if SCALED { self.evaluate::<SCALED>(0.0, branch.limit_scale).0 } else { self.sum_v };
         let gap = branch.input_v - start * elastance - sum * (1.0 + skew * self.charge_c);
         self.trial_rising = gap >= 0.0;
-        let guess = if self.trial_rising == self.rising { self.tangent } else { self.all_slopes };
+        let guess = self.tangent_towards(self.trial_rising);
         let mut drawn = gap / (elastance + guess + drag);
         for _ in 0..100 {
             let (voltage, tangent) = self.evaluate::<SCALED>(drawn, branch.limit_scale);

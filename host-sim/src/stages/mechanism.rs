@@ -12,77 +12,103 @@ use super::model::{AxisModel, StateKind};
 /// Most linear states of an axis.
 pub const MAX_STATES: usize = 12;
 
+/// Modes slower than this are resolved by sub-steps, rad/s. Faster ones (a bare stack's 32 kHz) are hardly excited by
+/// an amplifier of 0.4 ms and are left to the matrix exponential.
+const RESOLVED_PER_S: f64 = std::f64::consts::TAU * 20.0e3;
+/// Phase of the fastest resolved mode a sub-step, rad.
+const PHASE: f64 = 0.45;
+/// Most sub-steps.
+const MAX_SUBSTEPS: usize = 32;
+
+/// `s' = A s` of a model with the kinds of its states; the force acts on row 1 through the mass.
+fn continuous(model: &AxisModel) -> (DMatrix<f64>, Vec<StateKind>) {
+    let mass = model.piezo.mass_kg + model.mechanism.mass_kg;
+    let damping = model.piezo.damping_n_s_per_m + model.mechanism.damping_n_s_per_m;
+    let stiffness = model.piezo.stiffness_n_per_m + model.mechanism.stiffness_n_per_m;
+    let mut kinds = vec![StateKind::Position, StateKind::Velocity];
+    for block in &model.mechanism.linear {
+        kinds.extend_from_slice(block.states());
+    }
+    let n = kinds.len();
+    assert!(n <= MAX_STATES, "an axis has at most {MAX_STATES} linear states");
+    let mut a = DMatrix::<f64>::zeros(n, n);
+    a[(0, 1)] = 1.0;
+    a[(1, 0)] = -stiffness / mass;
+    a[(1, 1)] = -damping / mass;
+    let mut at = 2;
+    for block in &model.mechanism.linear {
+        block.assemble(&mut a, at, mass);
+        at += block.states().len();
+    }
+    (a, kinds)
+}
+
+/// Sub-steps of a tick of `step_s` that resolve how the hysteresis follows the modes of a heavy mechanism: a power of
+/// two, 1 for a mechanism without mass.
+pub fn substeps(model: &AxisModel, step_s: f64) -> usize {
+    if model.piezo.slopes_v_per_c.is_empty() && model.mechanism.forces.is_empty() {
+        return 1;
+    }
+    let (a, _) = continuous(model);
+    let fastest = a
+        .complex_eigenvalues()
+        .iter()
+        .map(|mode| mode.im.abs())
+        .filter(|rate| *rate < RESOLVED_PER_S)
+        .fold(0.0, f64::max);
+    let wanted = (fastest * step_s / PHASE).ceil() as usize;
+    wanted.clamp(1, MAX_SUBSTEPS).next_power_of_two()
+}
+
 /// Discrete linear mechanism of one axis with its state `[x, velocity, ...]`.
+///
+/// The transducer voltage follows the displacement inside a tick, because the hysteresis branch lets little charge
+/// through: as seen by the mechanism the stack is stiffer, the more so the fewer elements slip. There is one set of
+/// matrices for each of a few levels of that stiffening; the force that is interpolated contains it, so the level only
+/// shapes what happens inside the tick.
 #[derive(Debug, Clone)]
 pub struct LinearMechanism {
     states: usize,
-    phi: [[f64; MAX_STATES]; MAX_STATES],
-    gamma0: [f64; MAX_STATES],
-    gamma1: [f64; MAX_STATES],
+    levels: Vec<Level>,
     static_shape: [f64; MAX_STATES],
     state: [f64; MAX_STATES],
 }
 
+#[derive(Debug, Clone)]
+struct Level {
+    /// Stiffness that the branch adds, N/m.
+    added_n_per_m: f64,
+    phi: [[f64; MAX_STATES]; MAX_STATES],
+    gamma0: [f64; MAX_STATES],
+    gamma1: [f64; MAX_STATES],
+    /// 1 / (1 - gamma1 added): solves the end force for the displacement in it.
+    closing: f64,
+}
+
 impl LinearMechanism {
-    /// Build for a tick of `step_s` under forces that follow a time constant of `shape_s` (0: a step).
-    pub fn new(model: &AxisModel, step_s: f64, shape_s: f64) -> Self {
-        let mass = model.piezo.mass_kg + model.mechanism.mass_kg;
-        let damping = model.piezo.damping_n_s_per_m + model.mechanism.damping_n_s_per_m;
-        let stiffness = model.piezo.stiffness_n_per_m + model.mechanism.stiffness_n_per_m;
-        let rate = (stiffness / mass).sqrt();
-        let mut kinds = vec![StateKind::Position, StateKind::Velocity];
-        for block in &model.mechanism.linear {
-            kinds.extend_from_slice(block.states());
-        }
+    /// Build for a tick of `step_s` under forces that follow a time constant of `shape_s` (0: a step), stiffened by
+    /// each of `added_n_per_m`.
+    pub fn new(model: &AxisModel, step_s: f64, shape_s: f64, added_n_per_m: &[f64]) -> Self {
+        let (a, kinds) = continuous(model);
         let n = kinds.len();
-        assert!(n <= MAX_STATES, "an axis has at most {MAX_STATES} linear states");
-        let mut a = DMatrix::<f64>::zeros(n, n);
-        a[(0, 1)] = 1.0;
-        a[(1, 0)] = -stiffness / mass;
-        a[(1, 1)] = -damping / mass;
-        let mut at = 2;
-        for block in &model.mechanism.linear {
-            block.assemble(&mut a, at, mass);
-            at += block.states().len();
-        }
+        let mass = model.piezo.mass_kg + model.mechanism.mass_kg;
+        let stiffness = model.piezo.stiffness_n_per_m + model.mechanism.stiffness_n_per_m;
         let mut input = DVector::<f64>::zeros(n);
         input[1] = 1.0 / mass;
-
-        let static_shape = (-&a).lu().solve(&input).unwrap_or_else(|| DVector::zeros(n));
-        // Velocities in units of rate * metre: keeps the exponential well conditioned.
-        let unit = |i: usize| if kinds[i] == StateKind::Velocity { rate } else { 1.0 };
-        // Force = P + Q e^(-t/tau) (or P + Q t/h for a slow amplifier), as two further states.
+        let resting = (-&a).lu().solve(&input).unwrap_or_else(|| DVector::zeros(n));
+        let mut static_shape = [0.0; MAX_STATES];
+        static_shape[..n].copy_from_slice(resting.as_slice());
         let shape = Shape::new(step_s, shape_s);
-        let mut generator = DMatrix::<f64>::zeros(n + 2, n + 2);
-        for row in 0..n {
-            for column in 0..n {
-                generator[(row, column)] = a[(row, column)] * unit(column) / unit(row) * step_s;
-            }
-            // In units of the static displacement under one newton, so that entries are of one size.
-            let push = input[row] / unit(row) * step_s * stiffness;
-            generator[(row, n)] = push;
-            generator[(row, n + 1)] = push;
-        }
-        shape.generate(&mut generator, n);
-        let transition = generator.exp();
-        let mut this = Self {
-            states: n,
-            phi: [[0.0; MAX_STATES]; MAX_STATES],
-            gamma0: [0.0; MAX_STATES],
-            gamma1: [0.0; MAX_STATES],
-            static_shape: [0.0; MAX_STATES],
-            state: [0.0; MAX_STATES],
-        };
-        for row in 0..n {
-            for column in 0..n {
-                this.phi[row][column] = transition[(row, column)] * unit(row) / unit(column);
-            }
-            let constant = transition[(row, n)] * unit(row) / stiffness;
-            let varying = transition[(row, n + 1)] * unit(row) / stiffness;
-            (this.gamma0[row], this.gamma1[row]) = shape.weights(constant, varying);
-            this.static_shape[row] = static_shape[row];
-        }
-        this
+        let rate = (stiffness / mass).sqrt();
+        let levels = added_n_per_m
+            .iter()
+            .map(|&added| {
+                let mut stiffer = a.clone();
+                stiffer[(1, 0)] -= added / mass;
+                Level::new(&stiffer, &kinds, (mass, stiffness, rate), step_s, &shape, added)
+            })
+            .collect();
+        Self { states: n, levels, static_shape, state: [0.0; MAX_STATES] }
     }
 
     /// Displacement, m.
@@ -96,6 +122,12 @@ impl LinearMechanism {
         self.static_shape[0]
     }
 
+    /// Number of levels of stiffening.
+    #[inline]
+    pub fn levels(&self) -> usize {
+        self.levels.len()
+    }
+
     /// Come to rest under a constant force, N.
     pub fn rest_under(&mut self, force_n: f64) {
         for i in 0..self.states {
@@ -103,50 +135,91 @@ impl LinearMechanism {
         }
     }
 
-    /// Displacement at the end of the tick without the part of its end force: `x1 = a + beta f1`.
+    /// Displacement at the end of the tick as `a + beta f1`, for a force that is `force0_n` at its start.
     #[inline]
-    pub fn free_position_m(&self, force0_n: f64) -> f64 {
+    pub fn end_position(&self, level: usize, force0_n: f64) -> (f64, f64) {
+        let level = &self.levels[level];
+        let start_n = force0_n + level.added_n_per_m * self.state[0];
+        let mut sum = level.gamma0[0] * start_n;
         if self.states == 2 {
-            return self.phi[0][0] * self.state[0]
-                + self.phi[0][1] * self.state[1]
-                + self.gamma0[0] * force0_n;
+            sum += level.phi[0][0] * self.state[0] + level.phi[0][1] * self.state[1];
+        } else {
+            for i in 0..self.states {
+                sum += level.phi[0][i] * self.state[i];
+            }
         }
-        let mut sum = self.gamma0[0] * force0_n;
-        for i in 0..self.states {
-            sum += self.phi[0][i] * self.state[i];
-        }
-        sum
+        (sum * level.closing, level.gamma1[0] * level.closing)
     }
 
-    /// Displacement a newton of end force, m/N.
+    /// Go to the end of the tick, which is at displacement `x1` under `force1_n`.
     #[inline]
-    pub fn beta_m_per_n(&self) -> f64 {
-        self.gamma1[0]
-    }
-
-    /// Go to the end of the tick.
-    #[inline]
-    pub fn advance(&mut self, force0_n: f64, force1_n: f64) {
+    pub fn advance(&mut self, level: usize, force0_n: f64, force1_n: f64, x1: f64) {
+        let level = &self.levels[level];
+        let start_n = force0_n + level.added_n_per_m * self.state[0];
+        let end_n = force1_n + level.added_n_per_m * x1;
         if self.states == 2 {
             let [x, w, ..] = self.state;
-            self.state[0] = self.phi[0][0] * x
-                + self.phi[0][1] * w
-                + self.gamma0[0] * force0_n
-                + self.gamma1[0] * force1_n;
-            self.state[1] = self.phi[1][0] * x
-                + self.phi[1][1] * w
-                + self.gamma0[1] * force0_n
-                + self.gamma1[1] * force1_n;
-            return;
-        }
-        let before = self.state;
-        for row in 0..self.states {
-            let mut sum = self.gamma0[row] * force0_n + self.gamma1[row] * force1_n;
-            for column in 0..self.states {
-                sum += self.phi[row][column] * before[column];
+            self.state[1] = level.phi[1][0] * x
+                + level.phi[1][1] * w
+                + level.gamma0[1] * start_n
+                + level.gamma1[1] * end_n;
+        } else {
+            let before = self.state;
+            for row in 1..self.states {
+                let mut sum = level.gamma0[row] * start_n + level.gamma1[row] * end_n;
+                for column in 0..self.states {
+                    sum += level.phi[row][column] * before[column];
+                }
+                self.state[row] = sum;
             }
-            self.state[row] = sum;
         }
+        self.state[0] = x1;
+    }
+}
+
+impl Level {
+    /// Matrices of `s' = A s + b f / mass`, `b` being the velocity, over a tick.
+    fn new(
+        a: &DMatrix<f64>,
+        kinds: &[StateKind],
+        (mass, stiffness, rate): (f64, f64, f64),
+        step_s: f64,
+        shape: &Shape,
+        added_n_per_m: f64,
+    ) -> Self {
+        let n = kinds.len();
+        // Velocities in units of rate * metre: keeps the exponential well conditioned.
+        let unit = |i: usize| if kinds[i] == StateKind::Velocity { rate } else { 1.0 };
+        // Force = P + Q e^(-t/tau) (or P + Q t/h for a slow amplifier), as two further states.
+        let mut generator = DMatrix::<f64>::zeros(n + 2, n + 2);
+        for row in 0..n {
+            for column in 0..n {
+                generator[(row, column)] = a[(row, column)] * unit(column) / unit(row) * step_s;
+            }
+        }
+        // In units of the static displacement under one newton, so that entries are of one size.
+        let push = step_s * stiffness / mass / unit(1);
+        generator[(1, n)] = push;
+        generator[(1, n + 1)] = push;
+        shape.generate(&mut generator, n);
+        let transition = generator.exp();
+        let mut level = Self {
+            added_n_per_m,
+            phi: [[0.0; MAX_STATES]; MAX_STATES],
+            gamma0: [0.0; MAX_STATES],
+            gamma1: [0.0; MAX_STATES],
+            closing: 1.0,
+        };
+        for row in 0..n {
+            for column in 0..n {
+                level.phi[row][column] = transition[(row, column)] * unit(row) / unit(column);
+            }
+            let constant = transition[(row, n)] * unit(row) / stiffness;
+            let varying = transition[(row, n + 1)] * unit(row) / stiffness;
+            (level.gamma0[row], level.gamma1[row]) = shape.weights(constant, varying);
+        }
+        level.closing = 1.0 / (1.0 - level.gamma1[0] * added_n_per_m);
+        level
     }
 }
 
