@@ -118,20 +118,13 @@ impl Device for Board {
     }
 
     fn write_table(&mut self, offset: usize, points: &[f32]) -> Result<(), Refusal> {
-        match tick::with_idle_table(|table| table.write(offset, points)) {
-            Some(Ok(())) => Ok(()),
-            Some(Err(_)) | None => Err(Refusal::Range),
-        }
+        tick::with_table(|table| table.write(offset, points)).map_err(|_| Refusal::Range)
     }
 
     fn use_table(&mut self, len: usize) -> Result<u32, Refusal> {
-        match tick::with_idle_table(|table| table.set_len(len)) {
-            Some(Ok(())) => {
-                tick::exchange_tables();
-                Ok(next_tick())
-            }
-            Some(Err(_)) | None => Err(Refusal::Range),
-        }
+        tick::with_table(|table| table.set_len(len)).map_err(|_| Refusal::Range)?;
+        tick::use_table();
+        Ok(next_tick())
     }
 
     fn stream(&mut self, stream: Option<(Fields, Profile)>) -> u32 {

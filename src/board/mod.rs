@@ -13,7 +13,8 @@
 
 use defmt_rtt as _;
 use embassy_executor::{Executor, InterruptExecutor};
-use embassy_stm32::interrupt;
+use embassy_stm32::peripherals::{IWDG, PC6, PC7};
+use embassy_stm32::{Peri, interrupt};
 use static_cell::StaticCell;
 
 use crate::link::Identity;
@@ -85,6 +86,29 @@ pub fn run() -> ! {
     outputs::park_at_reset();
     stack::paint();
     load_ccm();
+    let p = start();
+    static EXECUTOR: StaticCell<Executor> = StaticCell::new();
+    EXECUTOR.init_with(Executor::new).run(|spawner| {
+        match (tasks::watch(p.watchdog), tasks::lamps(p.state, p.fault)) {
+            (Ok(watch), Ok(lamps)) => {
+                spawner.spawn(watch);
+                spawner.spawn(lamps);
+            }
+            _ => defmt::error!("the watch or the lamps could not start"),
+        }
+    })
+}
+
+/// Peripherals of the thread executor's tasks.
+struct Rest {
+    watchdog: Peri<'static, IWDG>,
+    state: Peri<'static, PC6>,
+    fault: Peri<'static, PC7>,
+}
+
+/// Everything up to the running tick and USB. Not inlined, so that the stack it takes is free again afterwards.
+#[inline(never)]
+fn start() -> Rest {
     let report = crash::take_report();
     let (p, has_crystal) = clocks::start();
     priorities::set();
@@ -150,16 +174,7 @@ pub fn run() -> ! {
         Ok(task) => usb.spawn(task),
         Err(_) => defmt::error!("the USB task could not start"),
     }
-    static EXECUTOR: StaticCell<Executor> = StaticCell::new();
-    EXECUTOR.init_with(Executor::new).run(|spawner| {
-        match (tasks::watch(p.IWDG), tasks::lamps(p.PC6, p.PC7)) {
-            (Ok(watch), Ok(lamps)) => {
-                spawner.spawn(watch);
-                spawner.spawn(lamps);
-            }
-            _ => defmt::error!("the watch or the lamps could not start"),
-        }
-    })
+    Rest { watchdog: p.IWDG, state: p.PC6, fault: p.PC7 }
 }
 
 /// The settings of the last save, or the defaults; what must be said about them.

@@ -3,19 +3,20 @@
 //! # Design
 //! [`ADC3`] runs at P0, alone with the deadline monitor [`TIM7_DAC`] and above everything else, from CCM RAM (no flash wait states,
 //! no stall while flash is written). It takes the samples, at most one order of the tasks, steps the [`Controller`], writes the
-//! outputs that TIM6 latches at the next trigger, and leaves a record in a lock-free queue. It shares nothing but atomics, two
-//! double buffers and three single-producer, single-consumer queues with the rest of the program; it calls
+//! outputs that TIM6 latches at the next trigger, and leaves a record in a lock-free queue. It shares nothing but atomics, these
+//! buffers and three single-producer, single-consumer queues with the rest of the program; it calls
 //! nothing outside CCM, which `cargo xtask firmware` proves from the image.
 //!
-//! Configurations and tables are double-buffered: a task writes the one that is not in use and exchanges the index. The tick
-//! cannot be in the middle of anything while a task runs, so the next tick sees the new one whole.
+//! Configurations are double-buffered: a task writes the one that is not in use and exchanges the index. The tick cannot be in the
+//! middle of anything while a task runs, so the next tick sees the new one whole. The waveform table is only written while the
+//! loop is open, and the tick is given an empty one from the first write until the table is put into use.
 //!
 //! # Limits
 //! A missing sample of a converter is replaced by its last one for [`CONVERTER_PATIENCE`] ticks, then it is a fault.
 
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use embassy_stm32::interrupt;
 use heapless::spsc::{Consumer, Producer, Queue};
@@ -98,9 +99,11 @@ impl<T> Shared<T> {
 static STATE: Shared<State> = Shared::new();
 static CONFIGS: [Shared<Config>; 2] = [Shared::new(), Shared::new()];
 #[unsafe(link_section = ".ccm_bss")]
-static TABLES: [Shared<Table>; 2] = [Shared::new(), Shared::new()];
+static TABLE: Shared<Table> = Shared::new();
 static CONFIG: AtomicU32 = AtomicU32::new(0);
-static TABLE: AtomicU32 = AtomicU32::new(0);
+static HAS_TABLE: AtomicBool = AtomicBool::new(false);
+/// What the tick gets while the table is out of use.
+static NO_TABLE: Table = Table::EMPTY;
 
 /// Ticks since start.
 pub static TICKS: AtomicU32 = AtomicU32::new(0);
@@ -148,9 +151,7 @@ pub fn init(config: Config, faults: Faults) -> Ends {
         for cell in &CONFIGS {
             cell.get().write(config.clone());
         }
-        for cell in &TABLES {
-            cell.get().write(Table::EMPTY);
-        }
+        TABLE.get().write_bytes(0, 1);
     }
     Ends { records, orders, answers }
 }
@@ -165,16 +166,16 @@ pub fn exchange_config(config: &Config) {
     }
 }
 
-/// Changes the table that is not in use. Called by one task only.
-pub fn with_idle_table<R>(change: impl FnOnce(&mut Table) -> R) -> Option<R> {
-    let next = 1 - (TABLE.load(Ordering::Relaxed) & 1);
-    // SAFETY: the tick reads only the other one until `exchange_tables`, and one task calls both.
-    TABLES.get(next as usize).map(|cell| change(unsafe { &mut *cell.get() }))
+/// Changes the table, which is out of use until [`use_table`]. Called by one task only.
+pub fn with_table<R>(change: impl FnOnce(&mut Table) -> R) -> R {
+    HAS_TABLE.store(false, Ordering::SeqCst);
+    // SAFETY: the tick does not look at the table while the flag is down, and one task calls this.
+    change(unsafe { &mut *TABLE.get() })
 }
 
-/// Puts the table that is not in use into use at the next tick. Called by one task only.
-pub fn exchange_tables() {
-    TABLE.store(1 - (TABLE.load(Ordering::Relaxed) & 1), Ordering::Release);
+/// Puts the table into use at the next tick. Called by one task only.
+pub fn use_table() {
+    HAS_TABLE.store(true, Ordering::Release);
 }
 
 /// Whether the drives are at their safe voltage.
@@ -193,10 +194,9 @@ unsafe fn ADC3() {
     let config = unsafe {
         &*if CONFIG.load(Ordering::Acquire) == 0 { CONFIGS[0].get() } else { CONFIGS[1].get() }
     };
-    // SAFETY: as above.
-    let table = unsafe {
-        &*if TABLE.load(Ordering::Acquire) == 0 { TABLES[0].get() } else { TABLES[1].get() }
-    };
+    // SAFETY: no task changes the table while the flag is up.
+    let table =
+        if HAS_TABLE.load(Ordering::Acquire) { unsafe { &*TABLE.get() } } else { &NO_TABLE };
     timebase::clear_trigger();
     let missing = converters::take(&mut state.codes);
 

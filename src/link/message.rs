@@ -19,6 +19,8 @@ pub const SCHEMA_HASH: u32 = {
     u32::from_le_bytes([a, b, c, d]) ^ u32::from_le_bytes([e, f, g, h])
 };
 
+/// Position of [`Reply::Settings`] among the replies, which is how postcard starts it.
+const SETTINGS_VARIANT: u8 = 1;
 /// Points of the arbitrary waveform in one [`Command::WriteTable`].
 pub const TABLE_CHUNK: usize = 256;
 /// Longest text of a [`Crash`].
@@ -67,14 +69,14 @@ pub enum Command {
     },
     /// Replace all settings: checked whole, then in effect from one tick to the next.
     SetSettings(Settings),
-    /// Write part of the arbitrary waveform into the table that is not in use.
+    /// Write part of the arbitrary waveform; it is flat until [`Command::UseTable`]. Refused while the loop is closed.
     WriteTable {
         /// Index of the first point.
         offset: u16,
         /// Points, -1 to 1.
         points: Vec<f32, TABLE_CHUNK>,
     },
-    /// Exchange the tables. Refused while the loop is closed.
+    /// Use the points written. Refused while the loop is closed.
     UseTable {
         /// Number of points.
         len: u16,
@@ -393,6 +395,17 @@ pub fn encode_reply<'a>(
     encode_message(buffer, Kind::Reply, sequence, reply)
 }
 
+/// Encodes [`Reply::Settings`] without a copy of the settings; the length of the frame, 0 if the buffer is too small.
+pub fn encode_settings(buffer: &mut [u8], sequence: u16, settings: &Settings) -> usize {
+    let mut encode = || {
+        let (variant, rest) = buffer.get_mut(HEADER..)?.split_first_mut()?;
+        *variant = SETTINGS_VARIANT;
+        let length = 1 + postcard::to_slice(settings, rest).ok()?.len();
+        frame::seal(buffer, Kind::Reply, sequence, length).ok()
+    };
+    encode().unwrap_or(0)
+}
+
 /// Decodes a command; nothing of it is used unless all of it decodes.
 ///
 /// # Errors
@@ -444,8 +457,11 @@ mod tests {
         assert_eq!(round_trip(&command), command);
         let mut buffer = [0; MAX_FRAME];
         let reply = Reply::Settings(settings);
-        let bytes = encode_reply(&mut buffer, 5, &reply).unwrap();
-        assert_eq!(decode_reply(&frame::decode(bytes).unwrap()).unwrap(), reply);
+        let bytes = encode_reply(&mut buffer, 5, &reply).unwrap().to_vec();
+        assert_eq!(decode_reply(&frame::decode(&bytes).unwrap()).unwrap(), reply);
+        let Reply::Settings(settings) = reply else { unreachable!() };
+        let length = encode_settings(&mut buffer, 5, &settings);
+        assert_eq!(buffer[..length], bytes);
         let mut points = Vec::new();
         while points.push(-0.5).is_ok() {}
         let command = Command::WriteTable { offset: 768, points };

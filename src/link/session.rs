@@ -28,9 +28,10 @@ pub trait Device {
     fn settings(&self) -> &Settings;
     /// Puts a checked configuration into effect and keeps the settings it came from; the tick from which it acts.
     fn configure(&mut self, settings: &Settings, config: Config) -> Result<u32, Refusal>;
-    /// Writes points of the table that is not in use; the range is checked.
+    /// Writes points of the table, which is out of use until [`Device::use_table`]; the range is checked. Only called while the loop
+    /// is open.
     fn write_table(&mut self, offset: usize, points: &[f32]) -> Result<(), Refusal>;
-    /// Puts that table into use; the tick from which. Only called while the loop is open.
+    /// Puts the table into use; the tick from which. Only called while the loop is open.
     fn use_table(&mut self, len: usize) -> Result<u32, Refusal>;
     /// Starts (or changes) or ends the stream; the tick from which.
     fn stream(&mut self, stream: Option<(Fields, Profile)>) -> u32;
@@ -57,8 +58,6 @@ pub struct Session {
 enum Next {
     /// The answer is written and this long.
     Answered(usize),
-    /// To be answered with this.
-    Reply(Result<Reply, Refusal>),
     /// For the controller.
     Control(crate::Command),
     /// Stage, stream, start.
@@ -85,7 +84,6 @@ impl Session {
         let sequence = frame.sequence;
         let result = match self.begin(device, frame, framing_errors, out) {
             Next::Answered(length) => return length,
-            Next::Reply(result) => return self.answer(sequence, result, out),
             Next::Control(command) => device.control(command).await,
             Next::Probe { axis, generator, fields, profile } => {
                 probe(device, axis, generator, fields, profile).await
@@ -101,7 +99,6 @@ impl Session {
     }
 
     /// Everything that needs no waiting.
-    #[inline(never)]
     fn begin<D: Device>(
         &mut self,
         device: &mut D,
@@ -109,24 +106,38 @@ impl Session {
         framing_errors: u32,
         out: &mut [u8],
     ) -> Next {
-        match (frame.kind, message::decode_command(frame)) {
-            (Kind::Identify, _) => Next::Answered(identify(device, frame.sequence, out)),
-            (_, Ok(command)) => {
-                self.commands = self.commands.saturating_add(1);
-                self.execute(device, command, framing_errors)
+        match frame.kind {
+            Kind::Identify => Next::Answered(identify(device, frame.sequence, out)),
+            Kind::Command => self.decode(device, frame, framing_errors, out),
+            // A device never answers what only devices send.
+            Kind::Stream | Kind::Reply | Kind::Identity => {
+                self.malformed = self.malformed.saturating_add(1);
+                Next::Answered(0)
             }
-            (Kind::Command, Err(MessageError::Schema { .. })) => {
+        }
+    }
+
+    /// Not inlined, here and below: what lies on the board's stack at once are the parts of one command, not all of them.
+    #[inline(never)]
+    fn decode<D: Device>(
+        &mut self,
+        device: &mut D,
+        frame: &Frame<'_>,
+        framing_errors: u32,
+        out: &mut [u8],
+    ) -> Next {
+        match message::decode_command(frame) {
+            Ok(command) => {
+                self.commands = self.commands.saturating_add(1);
+                self.execute(device, &command, framing_errors, frame.sequence, out)
+            }
+            Err(MessageError::Schema { .. }) => {
                 self.malformed = self.malformed.saturating_add(1);
                 Next::Answered(identify(device, frame.sequence, out))
             }
-            (Kind::Command, Err(_)) => {
+            Err(MessageError::Kind | MessageError::Payload) => {
                 self.malformed = self.malformed.saturating_add(1);
-                Next::Reply(Err(Refusal::Malformed))
-            }
-            // A device never answers what only devices send.
-            (Kind::Stream | Kind::Reply | Kind::Identity, Err(_)) => {
-                self.malformed = self.malformed.saturating_add(1);
-                Next::Answered(0)
+                Next::Answered(self.answer(frame.sequence, Err(Refusal::Malformed), out))
             }
         }
     }
@@ -140,56 +151,91 @@ impl Session {
         message::encode_reply(out, sequence, &reply).map_or(0, <[u8]>::len)
     }
 
+    #[inline(never)]
     fn execute<D: Device>(
         &mut self,
         device: &mut D,
-        command: Command,
+        command: &Command,
         framing_errors: u32,
+        sequence: u16,
+        out: &mut [u8],
     ) -> Next {
         use crate::Command as Control;
-        let reply = match command {
-            Command::Arm => return Next::Control(Control::Arm),
-            Command::Disarm => return Next::Control(Control::Disarm),
-            Command::Hold => return Next::Control(Control::Hold),
-            Command::ClearFaults => return Next::Control(Control::ClearFaults),
-            Command::KeepAlive => return Next::Control(Control::KeepAlive),
-            Command::Start { axes } => return Next::Control(Control::Start { axes }),
-            Command::Stage { axis, generator } => match build(&generator) {
-                Ok(generator) => return Next::Control(Control::Stage { axis, generator }),
-                Err(refusal) => Err(refusal),
-            },
+        let next = match command {
+            Command::Arm => Ok(Next::Control(Control::Arm)),
+            Command::Disarm => Ok(Next::Control(Control::Disarm)),
+            Command::Hold => Ok(Next::Control(Control::Hold)),
+            Command::ClearFaults => Ok(Next::Control(Control::ClearFaults)),
+            Command::KeepAlive => Ok(Next::Control(Control::KeepAlive)),
+            Command::Start { axes } => Ok(Next::Control(Control::Start { axes: *axes })),
+            Command::Stage { axis, generator } => build(generator)
+                .map(|generator| Next::Control(Control::Stage { axis: *axis, generator })),
             Command::Probe { axis, generator, fields, profile } => {
-                match (build(&generator), usize::from(axis) < AXES && fields.is_valid()) {
-                    (Ok(generator), true) => {
-                        return Next::Probe { axis, generator, fields, profile };
-                    }
-                    (Err(refusal), _) => Err(refusal),
-                    (Ok(_), false) => Err(Refusal::Range),
-                }
+                prepare_probe(*axis, generator, *fields, *profile)
             }
-            Command::Save => match parked(device) {
-                Ok(()) => return Next::Save,
-                Err(refusal) => Err(refusal),
-            },
-            Command::Status => Ok(Reply::Status(device.status())),
-            Command::Counters => Ok(Reply::Counters(Counters {
-                commands: self.commands,
-                refused: self.refused,
-                malformed: self.malformed.saturating_add(framing_errors),
-                ..device.counters()
-            })),
-            Command::Crash => Ok(Reply::Crash(device.crash())),
-            Command::ReadSettings => Ok(Reply::Settings(device.settings().clone())),
-            Command::SetSettings(settings) => configure(device, &settings),
-            Command::WriteTable { offset, points } => write_table(device, offset.into(), &points),
-            Command::UseTable { len } => use_table(device, len.into()),
-            Command::StreamOn { fields, profile } => stream_on(device, fields, profile),
-            Command::StreamOff => Ok(Reply::Done { tick: device.stream(None) }),
-            Command::Reboot => reboot(device, false),
-            Command::RebootToDfu => reboot(device, true),
+            Command::Save => parked(device).map(|()| Next::Save),
+            Command::ReadSettings => {
+                Ok(Next::Answered(message::encode_settings(out, sequence, device.settings())))
+            }
+            Command::SetSettings(settings) => {
+                return Next::Answered(self.answer(sequence, configure(device, settings), out));
+            }
+            _ => {
+                let result = small(self, device, command, framing_errors);
+                return Next::Answered(self.answer(sequence, result, out));
+            }
         };
-        Next::Reply(reply)
+        next.unwrap_or_else(|refusal| Next::Answered(self.answer(sequence, Err(refusal), out)))
     }
+}
+
+/// Commands that are answered at once, with little.
+#[inline(never)]
+fn small<D: Device>(
+    session: &Session,
+    device: &mut D,
+    command: &Command,
+    framing_errors: u32,
+) -> Result<Reply, Refusal> {
+    match command {
+        Command::Status => Ok(Reply::Status(device.status())),
+        Command::Counters => Ok(Reply::Counters(Counters {
+            commands: session.commands,
+            refused: session.refused,
+            malformed: session.malformed.saturating_add(framing_errors),
+            ..device.counters()
+        })),
+        Command::Crash => Ok(Reply::Crash(device.crash())),
+        Command::WriteTable { offset, points } => write_table(device, usize::from(*offset), points),
+        Command::UseTable { len } => use_table(device, usize::from(*len)),
+        Command::StreamOn { fields, profile } => stream_on(device, *fields, *profile),
+        Command::StreamOff => Ok(Reply::Done { tick: device.stream(None) }),
+        Command::Reboot => reboot(device, false),
+        Command::RebootToDfu => reboot(device, true),
+        Command::ReadSettings
+        | Command::Arm
+        | Command::Disarm
+        | Command::Hold
+        | Command::ClearFaults
+        | Command::KeepAlive
+        | Command::Stage { .. }
+        | Command::Start { .. }
+        | Command::SetSettings(_)
+        | Command::Probe { .. }
+        | Command::Save => Err(Refusal::Malformed),
+    }
+}
+
+fn prepare_probe(
+    axis: u8,
+    generator: &GeneratorSettings,
+    fields: Fields,
+    profile: Profile,
+) -> Result<Next, Refusal> {
+    if usize::from(axis) >= AXES || !fields.is_valid() {
+        return Err(Refusal::Range);
+    }
+    build(generator).map(|generator| Next::Probe { axis, generator, fields, profile })
 }
 
 fn identify<D: Device>(device: &D, sequence: u16, out: &mut [u8]) -> usize {
@@ -201,6 +247,7 @@ fn build(generator: &GeneratorSettings) -> Result<Generator, Refusal> {
     Generator::build(generator).map_err(|error| Refusal::Settings(error.into()))
 }
 
+#[inline(never)]
 fn configure<D: Device>(device: &mut D, settings: &Settings) -> Result<Reply, Refusal> {
     let config = Config::build(settings).map_err(|error| Refusal::Settings(error.into()))?;
     let digest = config.digest();
@@ -208,6 +255,7 @@ fn configure<D: Device>(device: &mut D, settings: &Settings) -> Result<Reply, Re
 }
 
 fn write_table<D: Device>(device: &mut D, offset: usize, points: &[f32]) -> Result<Reply, Refusal> {
+    not_active(device)?;
     // The comparison is false for not-a-number.
     if offset + points.len() > TABLE_POINTS || !points.iter().all(|point| point.abs() <= 1.0) {
         return Err(Refusal::Range);
@@ -220,9 +268,7 @@ fn use_table<D: Device>(device: &mut D, len: usize) -> Result<Reply, Refusal> {
     if !(1..=TABLE_POINTS).contains(&len) {
         return Err(Refusal::Range);
     }
-    if Flags(device.status().flags).state().is_active() {
-        return Err(Refusal::Armed);
-    }
+    not_active(device)?;
     device.use_table(len).map(|tick| Reply::Done { tick })
 }
 
@@ -255,6 +301,10 @@ async fn probe<D: Device>(
         device.stream(before);
     }
     started
+}
+
+fn not_active<D: Device>(device: &D) -> Result<(), Refusal> {
+    if Flags(device.status().flags).state().is_active() { Err(Refusal::Armed) } else { Ok(()) }
 }
 
 fn parked<D: Device>(device: &D) -> Result<(), Refusal> {
