@@ -20,7 +20,7 @@ const TARGET: &str = "thumbv7em-none-eabihf";
 const OLDEST_MINOR: u32 = 95;
 
 /// Options of `cargo xtask firmware`.
-#[derive(clap::Args)]
+#[derive(clap::Args, Default)]
 pub struct Args {
     /// Measure and check this image instead of building one.
     #[arg(long, value_name = "FILE")]
@@ -67,6 +67,15 @@ fn check(elf: &Path) -> Result<()> {
     }
     println!("\nfirmware: all checks passed");
     Ok(())
+}
+
+/// Whether this machine can build for the board; installs a toolchain where that is allowed.
+///
+/// # Errors
+/// Says what is missing.
+pub fn toolchain() -> Result<()> {
+    let shell = Shell::new()?;
+    pick(&shell).map(|_| ())
 }
 
 /// A way to build for the board here.

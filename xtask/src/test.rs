@@ -9,6 +9,7 @@ use anyhow::{Result, bail};
 use xshell::{Shell, cmd};
 
 use crate::debian::{self, Need};
+use crate::firmware;
 
 /// Options of `cargo xtask test`.
 #[derive(clap::Args)]
@@ -34,6 +35,7 @@ const STEPS: &[Step] = &[
     Step { name: "lints", run: lints },
     Step { name: "host tests", run: host_tests },
     Step { name: "documentation", run: documentation },
+    Step { name: "firmware", run: firmware },
 ];
 
 /// Run all steps, then print how each ended.
@@ -106,6 +108,14 @@ fn host_tests(shell: &Shell) -> Result<Outcome> {
     }
     cmd!(shell, "cargo test --release --workspace --exclude emulator").run()?;
     Ok(Outcome::Passed)
+}
+
+/// Builds the board's image and checks it. A machine that cannot build for the board skips this.
+fn firmware(_shell: &Shell) -> Result<Outcome> {
+    match firmware::toolchain() {
+        Ok(()) => firmware::run(&firmware::Args::default()).map(|()| Outcome::Passed),
+        Err(error) => Ok(Outcome::Skipped(format!("{error:#}"))),
+    }
 }
 
 fn documentation(shell: &Shell) -> Result<Outcome> {
