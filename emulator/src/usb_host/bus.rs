@@ -120,6 +120,8 @@ pub struct Host {
     pub repeats: u64,
     /// Frames stopped for the device to sleep (laptop lid closed).
     asleep: bool,
+    /// A transfer was queued, the cable or the port was touched: look at once.
+    touched: bool,
 }
 
 impl Default for Host {
@@ -140,6 +142,7 @@ impl Default for Host {
             packets: 0,
             repeats: 0,
             asleep: false,
+            touched: false,
         }
     }
 }
@@ -160,6 +163,7 @@ impl Host {
 
     /// Puts the cable in.
     pub fn plug(&mut self) {
+        self.touched = true;
         if self.port == Port::Unplugged {
             self.port = Port::Empty;
         }
@@ -175,6 +179,7 @@ impl Host {
 
     /// Stops frames (the host goes to sleep) or starts them again.
     pub fn sleep(&mut self, asleep: bool, now: Time) {
+        self.touched = true;
         self.asleep = asleep;
         self.suspend_at = if asleep { now + IDLE } else { NEVER };
     }
@@ -202,6 +207,7 @@ impl Host {
     }
 
     fn push(&mut self, mut t: Transfer) -> u64 {
+        self.touched = true;
         t.id = self.next_id;
         self.next_id += 1;
         let id = t.id;
@@ -298,6 +304,9 @@ impl Host {
 
     /// When the host does something next, as things stand.
     pub fn next_event(&self, now: Time) -> Time {
+        if self.touched {
+            return now;
+        }
         let port = match self.port {
             Port::Debouncing(t) | Port::Resetting(t) | Port::Recovering(t) => t,
             Port::Enabled
@@ -320,6 +329,7 @@ impl Host {
     /// Brings the bus up to `now` and starts what can start. Call at every event and when the device's registers
     /// change.
     pub fn update(&mut self, now: Time, device: &mut Usb) {
+        self.touched = false;
         if now >= self.suspend_at {
             self.suspend_at = NEVER;
             self.suspended = true;
