@@ -145,7 +145,8 @@ fn serve(bench: &mut Bench, server: &Server, end: Time, speed: Option<f64>) -> R
         }
         // A client whose queue is full gets no more tokens until it has read.
         let stack = &mut bench.machine.soc_mut().stack;
-        stack.reading = greeted && held.is_none() && stack.received.len() < 4;
+        stack.reading = greeted;
+        stack.host.stall(held.is_some() || stack.received.len() > 4);
         if let Some(speed) = speed {
             let ahead = seconds(bench.now()) / speed - started.elapsed().as_secs_f64();
             if ahead > 0.0 {

@@ -122,6 +122,8 @@ pub struct Host {
     asleep: bool,
     /// A transfer was queued, the cable or the port was touched: look at once.
     touched: bool,
+    /// No IN tokens go to bulk endpoints: a host too busy to serve its queues.
+    stalled: bool,
 }
 
 impl Default for Host {
@@ -143,6 +145,7 @@ impl Default for Host {
             repeats: 0,
             asleep: false,
             touched: false,
+            stalled: false,
         }
     }
 }
@@ -182,6 +185,17 @@ impl Host {
         self.touched = true;
         self.asleep = asleep;
         self.suspend_at = if asleep { now + IDLE } else { NEVER };
+    }
+
+    /// Sends no IN tokens to bulk endpoints while `stalled`; queued transfers stay queued.
+    pub fn stall(&mut self, stalled: bool) {
+        self.stalled = stalled;
+        self.touched = true;
+    }
+
+    /// Something outside changed: look at the queues at once.
+    pub fn touch(&mut self) {
+        self.touched = true;
     }
 
     /// Whether a device is there, reset and listening.
@@ -395,7 +409,7 @@ impl Host {
                 Stage::DataOut => (device.out_ready(endpoint), (t.want - t.sent).min(MAX_PACKET)),
                 Stage::StatusOut => (device.out_ready(endpoint), 0),
             };
-            if !ready {
+            if !ready || self.stalled && matches!(pipe, Pipe::In(_)) {
                 continue;
             }
             let begin = now.max(self.bus_free).next_multiple_of(RETRY);

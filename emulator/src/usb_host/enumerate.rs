@@ -103,6 +103,7 @@ impl Stack {
     /// Starts or stops reading; stopping takes the queued IN transfers back, as closing a device does.
     pub fn set_reading(&mut self, reading: bool, now: Time) {
         self.reading = reading;
+        self.host.touch();
         if let (false, Some(e)) = (reading, self.device().and_then(|d| d.bulk(true))) {
             self.host.cancel(Pipe::In(e), now);
         }

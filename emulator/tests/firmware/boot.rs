@@ -17,7 +17,8 @@ fn boots_to_170_mhz_with_outputs_parked_first() {
     let mut b = Bench::handley(image, 1).unwrap();
     // The outputs stand at 0 V before anything else happens, and stay there.
     b.run_for(100 * MICROSECOND).unwrap();
-    let codes: Vec<_> = [(0, 0), (0, 1), (1, 0)].map(|(d, c)| b.machine.soc().dac[d].output(c)).into();
+    let codes = [(0, 0), (0, 1), (1, 0)].map(|(d, c)| b.machine.soc().dac[d].output(c));
+    println!("outputs after 100 us: {codes:?} at {}", b.machine.location());
     assert_eq!(codes, [Some(256); 3], "parked within 100 us of the reset");
     b.run_for(200 * MILLISECOND).unwrap();
     assert!(b.machine.soc().full_speed(), "{} Hz", b.machine.soc().core_hz());
@@ -54,13 +55,11 @@ fn ticks_every_100_us_and_outputs_follow_one_period_later() {
         }
         // A sample's gauge codes identify its trigger; its DAC codes appear at the next one.
         let samples = b.link.samples.as_ref().unwrap();
-        let first = samples.first().unwrap();
-        let offset = log
-            .iter()
-            .position(|t| t.gauge.map(|g| g as u16) == first.gauge_code)
-            .expect("trigger of the first sample");
+        let first = log[0].gauge.map(|g| g as u16);
+        // The first samples were taken before the log began.
+        let offset = samples.iter().position(|s| s.gauge_code == first).expect("sample of the first trigger");
         let mut compared = 0;
-        for (s, pair) in samples.iter().zip(log[offset..].windows(2)) {
+        for (s, pair) in samples[offset..].iter().zip(log.windows(2)) {
             assert_eq!(s.gauge_code, pair[0].gauge.map(|g| g as u16), "tick {}: sampled at its own edge", s.tick);
             assert_eq!(s.dac_code, pair[1].codes, "tick {}: out at the next edge", s.tick);
             compared += 1;

@@ -76,10 +76,9 @@ fn a_host_that_stops_reading() {
     let ticks_before = b.counters().unwrap().overruns;
 
     let mut stall = |time| {
-        let now = b.now();
-        b.machine.soc_mut().stack.set_reading(false, now);
+        b.machine.soc_mut().stack.host.stall(true);
         b.run_for(time).unwrap();
-        b.machine.soc_mut().stack.reading = true;
+        b.machine.soc_mut().stack.host.stall(false);
         b.run_for(SECOND).unwrap();
         b.link.tally.clone()
     };
