@@ -8,6 +8,7 @@ use anyhow::Result;
 use clap::{Parser, Subcommand};
 
 mod debian;
+mod emulate;
 mod firmware;
 mod test;
 
@@ -24,12 +25,15 @@ enum Command {
     Test(test::Args),
     /// Build the board's image, measure it, and prove what its control tick calls.
     Firmware(firmware::Args),
+    /// Boot the image in the emulator against a rig; serve its USB endpoints on a socket.
+    Emulate(emulate::Args),
 }
 
 fn main() -> Result<()> {
     match Cli::parse().command {
         Command::Test(args) => test::run(&args),
         Command::Firmware(args) => firmware::run(&args),
+        Command::Emulate(args) => emulate::run(&args),
     }
 }
 

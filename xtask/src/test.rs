@@ -9,7 +9,7 @@ use anyhow::{Result, bail};
 use xshell::{Shell, cmd};
 
 use crate::debian::{self, Need};
-use crate::firmware;
+use crate::{emulate, firmware};
 
 /// Options of `cargo xtask test`.
 #[derive(clap::Args)]
@@ -36,6 +36,7 @@ const STEPS: &[Step] = &[
     Step { name: "host tests", run: host_tests },
     Step { name: "documentation", run: documentation },
     Step { name: "firmware", run: firmware },
+    Step { name: "emulation", run: emulation },
 ];
 
 /// Run all steps, then print how each ended.
@@ -121,5 +122,25 @@ fn firmware(_shell: &Shell) -> Result<Outcome> {
 fn documentation(shell: &Shell) -> Result<Outcome> {
     let _env = shell.push_env("RUSTDOCFLAGS", "-D warnings");
     cmd!(shell, "cargo doc --release --workspace --exclude emulator --no-deps").run()?;
+    Ok(Outcome::Passed)
+}
+
+/// The image in the emulator: everything that would be tried on the board.
+fn emulation(shell: &Shell) -> Result<Outcome> {
+    if let Err(why) = firmware::toolchain() {
+        return Ok(Outcome::Skipped(format!("{why:#}")));
+    }
+    let libclang = match emulate::tools(shell) {
+        Ok(libclang) => libclang,
+        Err(why) => return Ok(Outcome::Skipped(format!("{why:#}"))),
+    };
+    let elf = firmware::build(None)?;
+    let mut run = cmd!(shell, "cargo test --release --package emulator -- --nocapture")
+        .env("FLEXSTAGE_FIRMWARE_ELF", elf)
+        .env("RUST_BACKTRACE", "0");
+    if let Some(folder) = libclang {
+        run = run.env("LIBCLANG_PATH", folder);
+    }
+    run.run()?;
     Ok(Outcome::Passed)
 }

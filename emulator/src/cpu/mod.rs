@@ -609,7 +609,10 @@ impl Machine {
     /// stack: the painted part that is still untouched is not used.
     pub fn stack_use(&self) -> Option<(usize, usize)> {
         let top = self.image.symbol("_stack_start")?;
-        let end = ["_stack_end", "__euninit", "__ebss"].iter().find_map(|n| self.image.symbol(n))?.next_multiple_of(8);
+        let end = ["_stack_end", "__euninit", "__ebss"]
+            .iter()
+            .find_map(|n| self.image.symbol(n))?
+            .next_multiple_of(8);
         let (memory, base) = if top > SRAM { (&self.sram, SRAM) } else { (&self.ccm, CCM) };
         let room = top.checked_sub(end)? as usize;
         let untouched = memory.run_of(PAINT, (end - base) as usize).min(room);

@@ -23,7 +23,8 @@ fn boots_to_170_mhz_with_outputs_parked_first() {
     b.run_for(200 * MILLISECOND).unwrap();
     assert!(b.machine.soc().full_speed(), "{} Hz", b.machine.soc().core_hz());
     assert_eq!(b.board.0.borrow().fastest_step_v, 0.0, "no step on any output during boot");
-    let broken: Vec<_> = b.machine.soc().violations.iter().chain(&b.machine.soc().flash.violations).collect();
+    let broken: Vec<_> =
+        b.machine.soc().violations.iter().chain(&b.machine.soc().flash.violations).collect();
     assert!(broken.is_empty(), "{broken:?}");
     assert!(b.machine.resets.len() == 1, "{:?}", b.machine.resets);
     for line in &b.machine.rtt.lines {
@@ -47,7 +48,11 @@ fn ticks_every_100_us_and_outputs_follow_one_period_later() {
         b.machine.soc_mut().trigger_period = (u64::MAX, 0);
         b.machine.profile().clear();
         b.run_for(SECOND / 2).unwrap();
-        assert_eq!(b.machine.soc().trigger_period, (TICK, TICK), "period of the trigger, shortest and longest");
+        assert_eq!(
+            b.machine.soc().trigger_period,
+            (TICK, TICK),
+            "period of the trigger, shortest and longest"
+        );
         let board = b.board.0.borrow();
         let log = board.log.as_ref().unwrap();
         for w in log.windows(2) {
@@ -57,10 +62,18 @@ fn ticks_every_100_us_and_outputs_follow_one_period_later() {
         let samples = b.link.samples.as_ref().unwrap();
         let first = log[0].gauge.map(|g| g as u16);
         // The first samples were taken before the log began.
-        let offset = samples.iter().position(|s| s.gauge_code == first).expect("sample of the first trigger");
+        let offset = samples
+            .iter()
+            .position(|s| s.gauge_code == first)
+            .expect("sample of the first trigger");
         let mut compared = 0;
         for (s, pair) in samples[offset..].iter().zip(log.windows(2)) {
-            assert_eq!(s.gauge_code, pair[0].gauge.map(|g| g as u16), "tick {}: sampled at its own edge", s.tick);
+            assert_eq!(
+                s.gauge_code,
+                pair[0].gauge.map(|g| g as u16),
+                "tick {}: sampled at its own edge",
+                s.tick
+            );
             assert_eq!(s.dac_code, pair[1].codes, "tick {}: out at the next edge", s.tick);
             compared += 1;
         }
@@ -105,7 +118,8 @@ fn every_interrupt_is_below_the_tick() {
     };
     let nvic = &b.machine.soc().nvic;
     assert_eq!(nvic.priority_of(irq(ADC3)), 0);
-    let urgent: Vec<u32> = (0..102).filter(|n| nvic.is_enabled(irq(*n)) && nvic.priority_of(irq(*n)) == 0).collect();
+    let urgent: Vec<u32> =
+        (0..102).filter(|n| nvic.is_enabled(irq(*n)) && nvic.priority_of(irq(*n)) == 0).collect();
     // TIM7 is the tick's own deadline.
     assert!(urgent.iter().all(|n| matches!(*n, ADC3 | 55)), "interrupts at priority 0: {urgent:?}");
     println!("longest boot: {:.1} ms; one cycle is {CYCLE} units", milliseconds(b.now()));

@@ -70,12 +70,30 @@ fn a_minute_of_mixed_motion_is_bit_identical() {
     };
     let program: [&[(u8, GeneratorSettings)]; 7] = [
         &[(0, hold(4.0)), (1, hold(5.0)), (2, hold(6.0))],
-        &[(0, Sine(wave(1.0, 9.0, 10.0))), (1, Triangle(wave(2.0, 8.0, 2.0))), (2, Sine(wave(4.0, 6.0, 120.0)))],
+        &[
+            (0, Sine(wave(1.0, 9.0, 10.0))),
+            (1, Triangle(wave(2.0, 8.0, 2.0))),
+            (2, Sine(wave(4.0, 6.0, 120.0))),
+        ],
         &[(1, Square { wave: wave(3.0, 6.0, 4.0), slope_um_per_ms: 0.2 })],
         &[(0, Multisine(multisine)), (2, Ramp { target_um: 11.0, duration_s: 1.5 })],
-        &[(2, Sweep { center_um: 5.0, amplitude_um: 1.0, from_hz: 1.0, to_hz: 400.0, duration_s: 6.0, blend_s: 0.1 })],
+        &[(
+            2,
+            Sweep {
+                center_um: 5.0,
+                amplitude_um: 1.0,
+                from_hz: 1.0,
+                to_hz: 400.0,
+                duration_s: 6.0,
+                blend_s: 0.1,
+            },
+        )],
         &[(0, Staircase { wave: wave(0.0, 10.0, 0.3), steps: 10, slope_um_per_ms: 0.1 })],
-        &[(0, Sine(wave(0.0, 12.0, 1.0))), (1, Sine(wave(0.0, 12.0, 1.7))), (2, Sine(wave(0.0, 12.0, 2.3)))],
+        &[
+            (0, Sine(wave(0.0, 12.0, 1.0))),
+            (1, Sine(wave(0.0, 12.0, 1.7))),
+            (2, Sine(wave(0.0, 12.0, 2.3))),
+        ],
     ];
     for (i, waves) in program.iter().enumerate() {
         start(&mut b, &mut told, waves);
@@ -97,7 +115,8 @@ fn a_minute_of_mixed_motion_is_bit_identical() {
     assert!(samples.len() >= 600_000, "{} samples", samples.len());
 
     // The same core, the same plant, from the first tick; settings of the boot until the board was told others.
-    let mut host = ClosedLoop::new(&rig(), &settings(), Options { seed, ..Options::default() }).unwrap();
+    let mut host =
+        ClosedLoop::new(&rig(), &settings(), Options { seed, ..Options::default() }).unwrap();
     host.set_settings(&Settings::default()).unwrap();
     let first = samples[0].tick;
     let mut told = told.into_iter().peekable();
@@ -120,9 +139,19 @@ fn a_minute_of_mixed_motion_is_bit_identical() {
             assert_eq!(s.tick, tick);
             for k in 0..AXES {
                 let axis = &record.axes[k];
-                let host = (axis.reference.to_bits(), axis.position.to_bits(), axis.drive.to_bits(), axis.monitor.to_bits());
+                let host = (
+                    axis.reference.to_bits(),
+                    axis.position.to_bits(),
+                    axis.drive.to_bits(),
+                    axis.monitor.to_bits(),
+                );
                 let board = (s.reference[k], s.position[k], s.drive[k], s.monitor[k]);
-                assert_eq!(board, host, "tick {tick}, axis {}: reference, position, drive, monitor", k + 1);
+                assert_eq!(
+                    board,
+                    host,
+                    "tick {tick}, axis {}: reference, position, drive, monitor",
+                    k + 1
+                );
             }
             assert_eq!(s.flags, record.flags.0, "tick {tick}: flags");
             compared += 1;

@@ -53,14 +53,23 @@ fn ten_minutes_without_losing_a_tick() {
 #[test]
 fn exact_stream_of_every_field_keeps_up() {
     let Some(image) = image() else { return };
-    for (fields, profile) in [(Fields::RECORDING, Profile::Exact), (Fields::ALL, Profile::Exact), (Fields::ALL, Profile::Packed)] {
+    for (fields, profile) in [
+        (Fields::RECORDING, Profile::Exact),
+        (Fields::ALL, Profile::Exact),
+        (Fields::ALL, Profile::Packed),
+    ] {
         let mut b = armed(&image, 5, |_| {});
         b.start(&motion()).unwrap();
         b.stream(fields, profile).unwrap();
         b.link.clear();
         b.run_for(3 * SECOND).unwrap();
         let t = &b.link.tally;
-        println!("{fields:?} {profile:?}: {:.0} kB/s, {} missing, {} dropped", t.bytes as f64 / 3e3, t.missing, t.dropped);
+        println!(
+            "{fields:?} {profile:?}: {:.0} kB/s, {} missing, {} dropped",
+            t.bytes as f64 / 3e3,
+            t.missing,
+            t.dropped
+        );
         assert_eq!((t.missing, t.dropped, t.bad), (0, 0, 0), "{fields:?} {profile:?}: {t:?}");
     }
 }
@@ -88,7 +97,11 @@ fn a_host_that_stops_reading() {
     let long = stall(5 * SECOND);
     println!("5 s: {long:?}");
     assert!(long.missing > 40_000, "a stall of 5 s cannot be hidden: {long:?}");
-    assert_eq!(long.missing, (long.dropped - long.dropped_at_start) as u64, "every lost tick is counted");
+    assert_eq!(
+        long.missing,
+        (long.dropped - long.dropped_at_start) as u64,
+        "every lost tick is counted"
+    );
     assert_eq!(long.bad, 0);
     let counters = b.counters().unwrap();
     assert_eq!((counters.overruns, ticks_before), (0, 0), "the loop never missed a tick");

@@ -16,11 +16,16 @@ fn enumerates_with_correct_descriptors() {
     assert_eq!(device.strings[0], link::USB_MANUFACTURER);
     assert_eq!(device.strings[1], link::USB_PRODUCT);
     let uid = b.machine.soc().uid();
-    assert!(device.strings[2].len() >= 12 && uid.iter().any(|w| *w != 0), "serial number {:?}", device.strings[2]);
+    assert!(
+        device.strings[2].len() >= 12 && uid.iter().any(|w| *w != 0),
+        "serial number {:?}",
+        device.strings[2]
+    );
     assert_eq!(device.usb, 0x0210, "BOS needs USB 2.1");
     assert_eq!(device.interfaces.len(), 1);
     assert_eq!(device.interfaces[0][1], 0xff, "vendor class");
-    let mut endpoints: Vec<_> = device.endpoints.iter().map(|e| (e.address, e.kind, e.max_packet)).collect();
+    let mut endpoints: Vec<_> =
+        device.endpoints.iter().map(|e| (e.address, e.kind, e.max_packet)).collect();
     endpoints.sort();
     assert_eq!(endpoints, [(link::USB_ENDPOINT_OUT, 2, 64), (link::USB_ENDPOINT_IN, 2, 64)]);
     assert_eq!(device.compatible_ids, ["WINUSB"]);
@@ -29,7 +34,8 @@ fn enumerates_with_correct_descriptors() {
     assert!(guid.len() == 38 && guid.starts_with('{') && guid.ends_with('}'), "{guid}");
     assert!(device.max_power_ma <= 500);
     // embassy-usb answers DEVICE_QUALIFIER, which a full-speed-only device should refuse; hosts do not mind.
-    let problems: Vec<_> = device.problems.iter().filter(|p| !p.contains("DEVICE_QUALIFIER")).collect();
+    let problems: Vec<_> =
+        device.problems.iter().filter(|p| !p.contains("DEVICE_QUALIFIER")).collect();
     assert!(problems.is_empty(), "{problems:#?}");
 }
 
@@ -40,7 +46,10 @@ fn identifies_itself() {
     let identity = b.identify().unwrap();
     println!("{identity:?}");
     assert_eq!(identity.schema, SCHEMA_HASH);
-    assert_eq!((identity.axes, identity.sample_rate_hz, identity.core_hz), (3, 10_000, 170_000_000));
+    assert_eq!(
+        (identity.axes, identity.sample_rate_hz, identity.core_hz),
+        (3, 10_000, 170_000_000)
+    );
     assert_eq!(identity.has_crash_report, 0);
     assert_eq!(identity.has_stored_config, 0);
     assert_eq!(identity.self_test, 0, "self-test bits");
@@ -70,7 +79,10 @@ fn survives_reset_unplugging_and_sleep_of_the_host() {
             }
         }
         b.run_for(10 * MILLISECOND).unwrap();
-        b.run_until(2 * SECOND, "device after the interruption", |b| b.machine.soc().stack.device().is_some()).unwrap();
+        b.run_until(2 * SECOND, "device after the interruption", |b| {
+            b.machine.soc().stack.device().is_some()
+        })
+        .unwrap();
         b.identify().unwrap_or_else(|e| panic!("round {round}: {e}"));
     }
     let counters = b.counters().unwrap();
