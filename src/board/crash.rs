@@ -66,7 +66,7 @@ fn kept() -> *mut Kept {
     CRASH.0.get().cast()
 }
 
-/// Enters the DFU loader if the last run asked for it. The very first thing after reset.
+/// Enters the DFU loader if the last run asked for it. The very first thing after reset: nothing but the record is initialised.
 pub fn enter_dfu_if_asked() {
     // SAFETY: the record lies in RAM that nobody else uses; any bit pattern is a valid integer.
     unsafe {

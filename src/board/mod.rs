@@ -80,10 +80,20 @@ fn load_ccm() {
     cortex_m::asm::isb();
 }
 
-/// Starts the board and runs it for ever.
-pub fn run() -> ! {
+/// The first instructions after a reset, before RAM is set up: into the DFU loader if that was asked for, else the outputs to their
+/// safe voltage.
+///
+/// # Safety
+/// cortex-m-rt's reset handler calls it once. What it calls uses registers and the crash record, which lies in memory that start-up
+/// code leaves alone, and no other static: none has its value yet.
+#[unsafe(export_name = "__pre_init")]
+unsafe extern "C" fn before_anything_else() {
     crash::enter_dfu_if_asked();
     outputs::park_at_reset();
+}
+
+/// Starts the board and runs it for ever.
+pub fn run() -> ! {
     stack::paint();
     load_ccm();
     let p = start();

@@ -47,7 +47,7 @@ type Driver = usb::Driver<'static, USB>;
 /// Bytes of a stream frame.
 const FRAME_BYTES: usize = 1_024;
 /// Frames between pump and writer.
-pub const FRAMES_IN_RING: usize = 42;
+pub const FRAMES_IN_RING: usize = 44;
 /// What the ring holds of a packed recording (35 samples a frame), ms.
 pub const RING_MS: usize = FRAMES_IN_RING * 35 / 10;
 /// Vendor request by which Windows asks for the Microsoft OS descriptors.
@@ -191,7 +191,8 @@ async fn pump(
         while let Some((fields, profile)) = device::stream() {
             // The frame is filled in place, over as many milliseconds as it takes.
             let Some(frame) = ring.try_send() else {
-                packer.drop_all_but(&mut records, tick::RECORDS / 2);
+                // Full is full: the records wait in their queue, but for the ones that the next millisecond needs.
+                packer.drop_all_but(&mut records, tick::RECORDS - 16);
                 breathe(&mut ticker).await;
                 continue;
             };
