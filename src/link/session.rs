@@ -82,20 +82,21 @@ impl Session {
         out: &mut [u8],
     ) -> usize {
         let sequence = frame.sequence;
-        let result = match self.begin(device, frame, framing_errors, out) {
-            Next::Answered(length) => return length,
-            Next::Control(command) => device.control(command).await,
+        match self.begin(device, frame, framing_errors, out) {
+            Next::Answered(length) => length,
+            Next::Control(command) => {
+                let result = device.control(command).await;
+                self.done(sequence, result, out)
+            }
             Next::Probe { axis, generator, fields, profile } => {
-                probe(device, axis, generator, fields, profile).await
+                let result = probe(device, axis, generator, fields, profile).await;
+                self.done(sequence, result, out)
             }
             Next::Save => {
-                let saved = device.save().await;
-                let reply = saved.map(|(version, slot)| Reply::Saved { version, slot });
-                return self.answer(sequence, reply, out);
+                let result = device.save().await;
+                self.saved(sequence, result, out)
             }
-        };
-        let reply = result.map(|tick| Reply::Done { tick });
-        self.answer(sequence, reply, out)
+        }
     }
 
     /// Everything that needs no waiting.
@@ -137,12 +138,63 @@ impl Session {
             }
             Err(MessageError::Kind | MessageError::Payload) => {
                 self.malformed = self.malformed.saturating_add(1);
-                Next::Answered(self.answer(frame.sequence, Err(Refusal::Malformed), out))
+                Next::Answered(self.refuse(frame.sequence, Refusal::Malformed, out))
             }
         }
     }
 
     #[inline(never)]
+    fn done(&mut self, sequence: u16, result: Result<u32, Refusal>, out: &mut [u8]) -> usize {
+        self.answer(sequence, result.map(|tick| Reply::Done { tick }), out)
+    }
+
+    #[inline(never)]
+    fn saved(
+        &mut self,
+        sequence: u16,
+        result: Result<(u32, u8), Refusal>,
+        out: &mut [u8],
+    ) -> usize {
+        self.answer(sequence, result.map(|(version, slot)| Reply::Saved { version, slot }), out)
+    }
+
+    #[inline(never)]
+    fn refuse(&mut self, sequence: u16, refusal: Refusal, out: &mut [u8]) -> usize {
+        self.answer(sequence, Err(refusal), out)
+    }
+
+    #[inline(never)]
+    fn configured<D: Device>(
+        &mut self,
+        device: &mut D,
+        settings: &Settings,
+        sequence: u16,
+        out: &mut [u8],
+    ) -> usize {
+        match configure(device, settings) {
+            Ok((tick, digest)) => self.took_effect(sequence, tick, digest, out),
+            Err(refusal) => self.refuse(sequence, refusal, out),
+        }
+    }
+
+    #[inline(never)]
+    fn took_effect(&mut self, sequence: u16, tick: u32, digest: u32, out: &mut [u8]) -> usize {
+        self.answer(sequence, Ok(Reply::Configured { tick, digest }), out)
+    }
+
+    #[inline(never)]
+    fn at_once<D: Device>(
+        &mut self,
+        device: &mut D,
+        command: &Command,
+        framing_errors: u32,
+        sequence: u16,
+        out: &mut [u8],
+    ) -> usize {
+        let result = small(self, device, command, framing_errors);
+        self.answer(sequence, result, out)
+    }
+
     fn answer(&mut self, sequence: u16, result: Result<Reply, Refusal>, out: &mut [u8]) -> usize {
         if result.is_err() {
             self.refused = self.refused.saturating_add(1);
@@ -178,19 +230,18 @@ impl Session {
                 Ok(Next::Answered(message::encode_settings(out, sequence, device.settings())))
             }
             Command::SetSettings(settings) => {
-                return Next::Answered(self.answer(sequence, configure(device, settings), out));
+                return Next::Answered(self.configured(device, settings, sequence, out));
             }
             _ => {
-                let result = small(self, device, command, framing_errors);
-                return Next::Answered(self.answer(sequence, result, out));
+                let length = self.at_once(device, command, framing_errors, sequence, out);
+                return Next::Answered(length);
             }
         };
-        next.unwrap_or_else(|refusal| Next::Answered(self.answer(sequence, Err(refusal), out)))
+        next.unwrap_or_else(|refusal| Next::Answered(self.refuse(sequence, refusal, out)))
     }
 }
 
 /// Commands that are answered at once, with little.
-#[inline(never)]
 fn small<D: Device>(
     session: &Session,
     device: &mut D,
@@ -247,11 +298,12 @@ fn build(generator: &GeneratorSettings) -> Result<Generator, Refusal> {
     Generator::build(generator).map_err(|error| Refusal::Settings(error.into()))
 }
 
+/// Checked whole, then in effect; the tick and what was built.
 #[inline(never)]
-fn configure<D: Device>(device: &mut D, settings: &Settings) -> Result<Reply, Refusal> {
+fn configure<D: Device>(device: &mut D, settings: &Settings) -> Result<(u32, u32), Refusal> {
     let config = Config::build(settings).map_err(|error| Refusal::Settings(error.into()))?;
     let digest = config.digest();
-    device.configure(settings, config).map(|tick| Reply::Configured { tick, digest })
+    device.configure(settings, config).map(|tick| (tick, digest))
 }
 
 fn write_table<D: Device>(device: &mut D, offset: usize, points: &[f32]) -> Result<Reply, Refusal> {
