@@ -22,6 +22,8 @@ pub struct Config {
     pub(crate) axes: [AxisConfig; AXES],
     pub(crate) gauge_map: Option<[[Gain<Um, Um>; AXES]; AXES]>,
     pub(crate) guard: GuardConfig,
+    /// Some stiffness between axes is not zero.
+    pub(crate) is_crossed: bool,
     pub(crate) digest: u32,
 }
 
@@ -154,8 +156,10 @@ impl Config {
             ],
             gauge_map: build_gauge_map(&settings.gauge_map)?,
             guard: build_guard(&settings.guard)?,
+            is_crossed: false,
             digest: 0,
         };
+        config.is_crossed = config.axes.iter().any(|axis| axis.feedforward.is_crossed);
         for (k, axis) in config.axes.iter().enumerate() {
             let [low, high] = axis.drive;
             let check = Check::axis("guard", k);
@@ -346,6 +350,7 @@ fn build_feedforward(
             um_gain("cross_stiffness_n_per_m", cross[0] / t * 1.0e-6)?,
             um_gain("cross_stiffness_n_per_m", cross[1] / t * 1.0e-6)?,
         ],
+        is_crossed: cross != [0.0; 2],
         lead: gain(&of_axis, "amplifier_time_constant_s", p / (1.0 - p))?,
         maxwell,
         creep,

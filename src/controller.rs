@@ -17,11 +17,12 @@ use crate::{AXES, MAX_CREEP, creep};
 #[derive(Clone, Copy, Debug)]
 struct Axis {
     trajectory: Trajectory,
-    /// Where the reference goes in this tick.
-    motion: Motion,
     feedforward: FeedforwardState,
     feedback: FeedbackState,
     watch: WatchState,
+    /// Motion two ticks ahead, and where the next two axes (in cyclic order) will be.
+    motion: Motion,
+    others: [Um; 2],
     position: Um,
     monitor: Volt,
     /// Commanded in the tick before: acts now.
@@ -38,10 +39,11 @@ struct Axis {
 impl Axis {
     const REST: Self = Self {
         trajectory: Trajectory::at(Um::ZERO),
-        motion: Motion::REST,
         feedforward: FeedforwardState::REST,
         feedback: FeedbackState::REST,
         watch: WatchState::REST,
+        motion: Motion::REST,
+        others: [Um::ZERO; 2],
         position: Um::ZERO,
         monitor: Volt::ZERO,
         drive: Volt::ZERO,
@@ -229,10 +231,10 @@ impl Controller {
     #[inline(always)]
     fn measure(&mut self, config: &Config, sample: &Sample) {
         for (((axis, settings), gauge), monitor) in
-            self.axes.iter_mut().zip(&config.axes).zip(sample.gauge).zip(sample.monitor)
+            self.axes.iter_mut().zip(&config.axes).zip(&sample.gauge).zip(&sample.monitor)
         {
-            axis.position = Um::from_bits(settings.gauge.value(gauge));
-            axis.monitor = Volt::from_bits(settings.monitor.value(monitor));
+            axis.position = Um::from_bits(settings.gauge.value(*gauge));
+            axis.monitor = Volt::from_bits(settings.monitor.value(*monitor));
         }
         if let Some(map) = &config.gauge_map {
             let [a, b, c] = &mut self.axes;
@@ -251,9 +253,9 @@ impl Controller {
         let mut faults = Faults::NONE;
         let mut faulted_axes = 0;
         let mut bit = 1;
-        for ((axis, settings), code) in self.axes.iter_mut().zip(&config.axes).zip(sample.gauge) {
+        for ((axis, settings), code) in self.axes.iter_mut().zip(&config.axes).zip(&sample.gauge) {
             let seen = Seen {
-                code,
+                code: *code,
                 position: axis.position,
                 // On the tick that closes the loop there is no reference yet.
                 reference: if self.closing { axis.position } else { axis.trajectory.now() },
@@ -295,7 +297,7 @@ impl Controller {
                 if closing { config.guard.arming_step } else { config.guard.transition_step };
         }
         self.bump_weight = self.bump_weight.saturating_sub(self.bump_step);
-        let weight = (self.bump_weight >> 1) as i64;
+        let weight = self.bump_weight >> 1;
 
         let mut moving = false;
         for (axis, settings) in self.axes.iter_mut().zip(&config.axes) {
@@ -304,28 +306,31 @@ impl Controller {
         }
         self.advance_state(moving);
 
-        let [a, b, c] = &self.axes;
-        let motions = [a.motion, b.motion, c.motion];
-        let [m0, m1, m2] = motions;
-        let [c0, c1, c2] = &config.axes;
-        let [d0, d1, d2] = [
-            c0.feedforward.displacement(&m0),
-            c1.feedforward.displacement(&m1),
-            c2.feedforward.displacement(&m2),
-        ];
-        let others = [[d1, d2], [d2, d0], [d0, d1]];
+        if config.is_crossed {
+            self.exchange(config);
+        }
 
         // Creep: in 100 ticks every element of every axis has its turn; the axes take turns too.
         self.creep_clock =
             if self.creep_clock >= creep::DIVIDER - 1 { 0 } else { self.creep_clock + 1 };
-        let mut slot = self.creep_clock;
-        for (((axis, settings), motion), others) in
-            self.axes.iter_mut().zip(&config.axes).zip(motions).zip(others)
-        {
-            let step = Step { motion, others, creep_slot: slot as usize, rebase, weight };
-            axis.control(settings, step);
-            slot = slot.wrapping_sub(MAX_CREEP as u32);
+        let mut creep_slot = self.creep_clock as usize;
+        for (axis, settings) in self.axes.iter_mut().zip(&config.axes) {
+            axis.control(settings, creep_slot, rebase, weight);
+            creep_slot = creep_slot.wrapping_sub(MAX_CREEP);
         }
+    }
+
+    /// Tell each axis where the others will be.
+    #[inline(always)]
+    fn exchange(&mut self, config: &Config) {
+        let [c0, c1, c2] = &config.axes;
+        let [a0, a1, a2] = &mut self.axes;
+        let d0 = c0.feedforward.displacement(&a0.motion);
+        let d1 = c1.feedforward.displacement(&a1.motion);
+        let d2 = c2.feedforward.displacement(&a2.motion);
+        a0.others = [d1, d2];
+        a1.others = [d2, d0];
+        a2.others = [d0, d1];
     }
 
     /// Arming ends by time; run and hold follow the references.
@@ -387,16 +392,6 @@ impl Controller {
     }
 }
 
-/// What one axis needs to know in a tick.
-#[derive(Clone, Copy)]
-struct Step {
-    motion: Motion,
-    others: [Um; 2],
-    creep_slot: usize,
-    rebase: bool,
-    weight: i64,
-}
-
 impl Axis {
     /// Where the reference goes. On the tick that closes the loop it starts where the stage is, and nothing is remembered.
     #[inline(always)]
@@ -411,11 +406,16 @@ impl Axis {
         self.motion = self.trajectory.step(table, low, high);
     }
 
+    /// Drive of one axis. `weight`: of what is left of the last bump, Q0.31.
     #[inline(always)]
-    fn control(&mut self, config: &AxisConfig, step: Step) {
-        let Step { motion, others, creep_slot, rebase, weight } = step;
-        let forward =
-            config.feedforward.step(&mut self.feedforward, motion, others, creep_slot, rebase);
+    fn control(&mut self, config: &AxisConfig, creep_slot: usize, rebase: bool, weight: u32) {
+        let forward = config.feedforward.step(
+            &mut self.feedforward,
+            self.motion,
+            self.others,
+            creep_slot,
+            rebase,
+        );
         let (back, integral_at_limit) = config.feedback.step(
             &mut self.feedback,
             self.trajectory.now(),
@@ -428,8 +428,12 @@ impl Axis {
         if rebase {
             self.bump = self.drive - wanted;
         }
-        let wanted = wanted
-            + Volt::from_bits(((self.bump.to_bits() as i64).wrapping_mul(weight) >> 31) as i32);
+        let wanted = if weight == 0 {
+            wanted
+        } else {
+            let bump = (self.bump.to_bits() as i64).wrapping_mul(weight as i64) >> 31;
+            wanted + Volt::from_bits(bump as i32)
+        };
 
         let [low, high] = config.drive;
         let in_range = wanted.limit(low, high);

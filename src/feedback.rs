@@ -66,24 +66,34 @@ impl Feedback {
         rebase: bool,
     ) -> (Volt, bool) {
         // Where the reference was when the position was true: a straight line through the last tick.
-        let reference = reference - (self.sensor_delay * last_change).narrow();
+        let reference = if self.sensor_delay.is_zero() {
+            reference
+        } else {
+            reference - (self.sensor_delay * last_change).narrow()
+        };
         let error = reference - position;
 
-        let growth = self.integral * error;
-        let blocked = (growth.to_bits() > 0 && excess > Volt::ZERO)
-            || (growth.to_bits() < 0 && excess < Volt::ZERO);
-        let sum = if blocked { state.integral } else { state.integral + growth };
-        state.integral = sum.limit(self.integral_limit);
-        let at_limit = sum.to_bits() != state.integral.to_bits();
-
-        let weighted = (self.setpoint_weight * reference).narrow() - position;
-        if rebase {
-            state.weighted = weighted;
+        let mut at_limit = false;
+        // A gain of zero keeps the sum that it has: exchanging it must not make a step. The limit acts when it grows again.
+        if !self.integral.is_zero() {
+            let growth = self.integral * error;
+            let blocked = (growth.to_bits() > 0 && excess > Volt::ZERO)
+                || (growth.to_bits() < 0 && excess < Volt::ZERO);
+            let sum = if blocked { state.integral } else { state.integral + growth };
+            state.integral = sum.limit(self.integral_limit);
+            at_limit = sum.to_bits() != state.integral.to_bits();
         }
-        let change = weighted - state.weighted;
-        state.weighted = weighted;
-        state.derivative =
-            (self.derivative_pole * state.derivative + self.derivative * change).narrow();
+
+        if !self.derivative.is_zero() || state.derivative != Volt::ZERO {
+            let weighted = (self.setpoint_weight * reference).narrow() - position;
+            if rebase {
+                state.weighted = weighted;
+            }
+            let change = weighted - state.weighted;
+            state.weighted = weighted;
+            state.derivative =
+                (self.derivative_pole * state.derivative + self.derivative * change).narrow();
+        }
 
         let mut sum = (self.proportional * error + state.integral).narrow() + state.derivative;
         for (notch, memory) in self.notches.iter().zip(state.notches.iter_mut()) {

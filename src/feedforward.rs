@@ -33,6 +33,7 @@ pub struct Feedforward {
     pub(crate) charge_per_volt: Gain<Volt, MicroCoulomb>,
     /// Off-diagonal stiffness / T, from the other two axes in cyclic order.
     pub(crate) cross: [Gain<Um, Volt>; 2],
+    pub(crate) is_crossed: bool,
     /// p / (1 - p)
     pub(crate) lead: Gain<Volt, Volt>,
     pub(crate) maxwell: Vec<Maxwell, MAX_MAXWELL>,
@@ -78,15 +79,18 @@ impl Feedforward {
     ) -> Volt {
         let wanted = motion.position - self.origin;
         let elastic = wanted - state.creep.displacement();
-        state.creep.step(&self.creep, creep_slot, elastic);
+        if creep_slot < self.creep.len() {
+            state.creep.step(&self.creep, creep_slot, elastic);
+        }
         let [next, after_next] = others;
         let [cross_next, cross_after_next] = self.cross;
-        let transducer: Volt = (self.stiffness * elastic
+        let mut force = self.stiffness * elastic
             + self.damping * motion.velocity
-            + self.inertia * motion.acceleration
-            + cross_next * next
-            + cross_after_next * after_next)
-            .narrow();
+            + self.inertia * motion.acceleration;
+        if self.is_crossed {
+            force = force + cross_next * next + cross_after_next * after_next;
+        }
+        let transducer: Volt = force.narrow();
         let mut stack = transducer;
         if !self.maxwell.is_empty() {
             let charge =
@@ -101,7 +105,7 @@ impl Feedforward {
         }
         let change = stack - state.stack;
         state.stack = stack;
-        stack + (self.lead * change).narrow()
+        if self.lead.is_zero() { stack } else { stack + (self.lead * change).narrow() }
     }
 
     /// Displacement from the relaxed position, before creep compensation.

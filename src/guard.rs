@@ -5,7 +5,7 @@
 
 use crate::generator::Generator;
 use crate::record::Faults;
-use crate::units::{Um, Volt};
+use crate::units::{Quantity, Um, Volt};
 
 /// What the outside may ask for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -110,6 +110,8 @@ pub struct WatchState {
     code: i32,
     code_drive: Volt,
     position: Um,
+    /// Some counter is not zero.
+    counting: bool,
 }
 
 /// What a watch looks at in one tick.
@@ -142,39 +144,62 @@ impl WatchState {
         code: i32::MIN,
         code_drive: Volt::ZERO,
         position: Um::ZERO,
+        counting: false,
     };
 
     /// One tick. Faults of the gauge are found in every state, the others only while the loop is closed.
+    ///
+    /// As a rule nothing is wrong and nothing was: then a tick compares and remembers, and counts nothing.
     #[inline(always)]
     pub(crate) fn step(&mut self, watch: &Watch, seen: Seen) -> Faults {
-        let railed = seen.code <= 0 || seen.code >= watch.full_code;
-        let mut faults = Faults::RAILED.when(lasts(&mut self.railed, railed, watch.gauge_ticks));
-
-        // A jump is held against the gauge for as long as good samples take to wash it out.
-        let jump = (seen.position - self.position).abs() > watch.max_step && self.code != i32::MIN;
+        // Codes 1 to full - 1 are in range.
+        let railed = (seen.code.wrapping_sub(1) as u32) >= (watch.full_code.wrapping_sub(1) as u32);
+        let jump = beyond(seen.position - self.position, watch.max_step) && self.code != i32::MIN;
         self.position = seen.position;
-        self.jumping =
-            if jump { self.jumping.saturating_add(8) } else { self.jumping.saturating_sub(1) };
-        let broken = watch.gauge_ticks != 0 && self.jumping > watch.gauge_ticks;
-        faults = faults.with(Faults::DISCONNECTED.when(broken));
-
         if seen.code != self.code || !seen.active {
             self.code = seen.code;
             self.code_drive = seen.drive;
         }
-        let stuck = (seen.drive - self.code_drive).abs() > watch.stuck_drive;
+        let stuck = beyond(seen.drive - self.code_drive, watch.stuck_drive);
         let [low, high] = watch.travel;
-        let outside = seen.active && (seen.position < low || seen.position > high);
-        let lost = seen.active && (seen.reference - seen.position).abs() > watch.following;
-        let unlike = seen.active && (seen.monitor - seen.drive).abs() > watch.monitor;
-        faults
+        let outside = seen.position < low || seen.position > high;
+        let lost = beyond(seen.reference - seen.position, watch.following);
+        let unlike = beyond(seen.monitor - seen.drive, watch.monitor);
+        let wrong = railed | jump | stuck | (seen.active & (outside | lost | unlike));
+        if !wrong && !self.counting {
+            return Faults::NONE;
+        }
+        let mut faults = Faults::RAILED.when(lasts(&mut self.railed, railed, watch.gauge_ticks));
+        // A jump is held against the gauge for as long as good samples take to wash it out.
+        self.jumping =
+            if jump { self.jumping.saturating_add(8) } else { self.jumping.saturating_sub(1) };
+        let broken = watch.gauge_ticks != 0 && self.jumping > watch.gauge_ticks;
+        faults = faults
+            .with(Faults::DISCONNECTED.when(broken))
             .with(Faults::STUCK.when(stuck))
-            .with(Faults::TRAVEL.when(lasts(&mut self.outside, outside, watch.gauge_ticks)))
+            .with(Faults::TRAVEL.when(lasts(
+                &mut self.outside,
+                seen.active & outside,
+                watch.gauge_ticks,
+            )))
             .with(Faults::FOLLOWING_ERROR.when(lasts(
                 &mut self.following,
-                lost,
+                seen.active & lost,
                 watch.following_ticks,
             )))
-            .with(Faults::MONITOR.when(lasts(&mut self.monitor, unlike, watch.monitor_ticks)))
+            .with(Faults::MONITOR.when(lasts(
+                &mut self.monitor,
+                seen.active & unlike,
+                watch.monitor_ticks,
+            )));
+        self.counting = wrong || self.jumping != 0;
+        faults
     }
+}
+
+/// Whether a magnitude is larger than a limit (not negative).
+#[inline(always)]
+fn beyond<Q: Quantity>(value: Q, limit: Q) -> bool {
+    let (value, limit) = (value.to_bits(), limit.to_bits());
+    value > limit || value < limit.wrapping_neg()
 }

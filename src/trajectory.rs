@@ -207,13 +207,14 @@ impl Trajectory {
 /// Central differences about the middle of three samples, a tick (0.1 ms) apart.
 #[inline(always)]
 fn motion(after: Um, here: Um, before: Um) -> Motion {
-    let (a, h, b) = (after.to_bits() as i64, here.to_bits() as i64, before.to_bits() as i64);
+    let (rise, fall) = (after - here, here - before);
+    let (twice, bend) = ((rise + fall).to_bits() as i64, (rise - fall).to_bits() as i64);
     Motion {
         position: here,
-        // (a - b) / 2 ticks = 5 (a - b) per ms
-        velocity: UmPerMs::from_bits(saturate((a - b) * 5)),
-        // (a - 2h + b) per tick^2 = 100 times that per ms^2
-        acceleration: UmPerMs2::from_bits(saturate((a - 2 * h + b) * 100)),
+        // (after - before) / 2 ticks = 5 (after - before) per ms
+        velocity: UmPerMs::from_bits(saturate(twice * 5)),
+        // (after - 2 here + before) per tick^2 = 100 times that per ms^2
+        acceleration: UmPerMs2::from_bits(saturate(bend * 100)),
     }
 }
 
