@@ -13,6 +13,8 @@
 mod any_rig;
 pub mod closed_loop;
 pub mod effects;
+pub mod experiments;
+pub mod flexure;
 mod plant;
 pub mod platform;
 pub mod rig;

@@ -13,7 +13,7 @@ static INFO: Info = Info {
     kind: Kind::Structural,
     scope: Scope::Axis,
     parameters: &[
-        Parameter::size("current_a", "A", 100.0, (1.0e-4, 100.0), 0.4, "largest current; 100 A is none").by_ratio(),
+        Parameter::size("current_a", "A", 100.0, (1.0e-4, 100.0), 0.1, "largest current; 100 A is none").by_ratio(),
         Parameter::shape(
             "stack_share",
             "1",

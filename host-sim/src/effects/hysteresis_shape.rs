@@ -24,7 +24,7 @@ static INFO: Info = Info {
             0.2,
             "shifts strength from elements that slip early to those that slip late: e^(tilt (Delta_i/Delta_max - 1/2))",
         ),
-        Parameter::size("skew", "1", 0.0, (-2.0, 2.0), 0.05, "growth of the loop's height over the full slip charge"),
+        Parameter::size("skew", "1", 0.0, (-2.0, 2.0), 0.05, "growth of the hysteresis voltage over the full slip charge: a loop that is not symmetric about its centre"),
     ],
     threshold: false,
     physics: "Element i: slope k_i' = strength e^(tilt (Delta_i/Delta_max - 1/2)) k_i, slip charge slip Delta_i; the \

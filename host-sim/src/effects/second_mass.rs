@@ -19,7 +19,7 @@ static INFO: Info = Info {
     ],
     threshold: false,
     physics: "m2 x2'' = -k2 (x2 - x) - c2 (x2' - x'), the reaction on the axis: a platform on the flexures. The response \
-              dips at the frequency and peaks above; the static gain does not change. Propagated exactly.",
+              dips at the frequency and peaks below; the static gain does not change. Propagated exactly.",
     source: "loaded stages 1.2 to 3.7 kHz, second modes of platform and links (notes/physics.md, sections 3 and 4)",
     revealed_by: "multisine and steps: a resonance with an antiresonance",
     confused_with: &["inertia", "viscoelasticity"],

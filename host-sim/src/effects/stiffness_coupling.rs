@@ -22,7 +22,8 @@ static INFO: Info = Info {
     )],
     threshold: false,
     physics: "F_i = -k_ij x_j and F_j = -k_ij x_i: the flexure mechanism is one body. The neighbour moves by \
-              -k_ij/(k_p + k) of the motion, statically and through its own resonance, whatever its voltage.",
+              -k_ij/(k_p + k) of the motion, statically and through its own resonance, whatever its voltage. Held to 45 % of the \
+              smaller own stiffness.",
     source: "pseudo-rigid-body model of a 3-RRR: 0.14e6 N/m off, 0.98e6 on the diagonal (notes/physics.md, section 5)",
     revealed_by: "one axis driven alone, others held at two voltages; neighbours' resonance in cross responses",
     confused_with: &["sensor-crosstalk", "drive-crosstalk"],
@@ -35,6 +36,13 @@ impl Effect for StiffnessCoupling {
 
     fn apply(&self, values: &[f64], place: Place, model: &mut Model, _step_s: f64) {
         let axes = (place.on(), place.from());
-        model.springs.push(CouplingSpring { axes, stiffness_n_per_m: values[0] });
+        let own = |axis: usize| {
+            let axis = &model.axes[axis];
+            axis.piezo.stiffness_n_per_m + axis.mechanism.stiffness_n_per_m
+        };
+        // Three such springs must leave the stiffness matrix positive definite.
+        let most = 0.45 * own(axes.0).min(own(axes.1));
+        let stiffness_n_per_m = values[0].clamp(-most, most);
+        model.springs.push(CouplingSpring { axes, stiffness_n_per_m });
     }
 }
