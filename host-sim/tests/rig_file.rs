@@ -124,7 +124,7 @@ fn settings_are_reached_by_name() {
     let turned = Place::Pair { on: 0, from: 2 };
     assert_eq!(rig.get("stiffness-coupling", turned, "stiffness_n_per_m"), Some(1.0e5));
     rig.set("creep", Place::Axis(1), "per_decade", 0.01).unwrap();
-    assert_eq!(rig.get("creep", Place::Axis(1), "onset_s"), Some(0.1));
+    assert_eq!(rig.get("creep", Place::Axis(1), "onset_s"), Some(0.02));
     assert_eq!(rig.effects.len(), 2);
     assert!(rig.remove("creep", Place::Axis(1)));
     assert!(!rig.remove("creep", Place::Axis(1)));

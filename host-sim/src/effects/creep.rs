@@ -14,11 +14,11 @@ static INFO: Info = Info {
     scope: Scope::Axis,
     parameters: &[
         Parameter::size("per_decade", "1", 0.0, (-0.1, 0.3), 0.015, "growth of the stroke a decade of time"),
-        Parameter::shape("onset_s", "s", (1.0e-3, 10.0), 0.1, "time after a step from which it is counted").by_ratio(),
+        Parameter::shape("onset_s", "s", (1.0e-4, 10.0), 0.02, "time after a step from which it goes with the logarithm").by_ratio(),
     ],
     threshold: false,
-    physics: "A step of the transducer voltage goes on as x(t) = x0 (1 + per_decade lg(t/onset)): domains that switch \
-              late. Built as a chain of slow strains in front of the stack's stiffness, two a decade from onset to \
+    physics: "A step of the transducer voltage goes on as x(t) = x0 (1 + per_decade lg(1 + t/onset)): domains that switch \
+              late. Built as a chain of slow strains in front of the stack's stiffness, two a decade up to \
               1e5 onset, each exact over a tick. Restarts at every step, in proportion to it; draws charge.",
     source: "1 to 2 % a decade from 0.1 s (notes/physics.md, sections 2 and 4, S13)",
     revealed_by: "steps held for ten seconds and more, at two heights",
@@ -27,8 +27,8 @@ static INFO: Info = Info {
 
 /// Slow strains a decade of time constants.
 const PER_DECADE: usize = 2;
-/// Decades that the chain spans.
-const DECADES: usize = 5;
+/// Slow strains, from a third of the onset to 1e5 times the onset.
+const STRAINS: usize = 12;
 
 impl Effect for Creep {
     fn info(&self) -> &'static Info {
@@ -37,11 +37,13 @@ impl Effect for Creep {
 
     fn apply(&self, values: &[f64], place: Place, model: &mut Model, _step_s: f64) {
         let (per_decade, onset_s) = (values[0], values[1]);
-        let share = per_decade / PER_DECADE as f64;
-        // With time constants from onset * 10^(1/2) on, the chain's growth is per_decade * lg(t/onset).
-        let strains = (0..PER_DECADE * DECADES).map(|j| Kelvin {
-            share,
-            time_constant_s: onset_s * 10f64.powf(0.5 + j as f64 / PER_DECADE as f64),
+        // ln(1 + t/onset) is the integral of (1 - e^(-t/tau)) e^(-onset/tau) over ln tau.
+        let strains = (0..STRAINS).map(|j| {
+            let ratio = 10f64.powf((j as f64 - 1.0) / PER_DECADE as f64);
+            Kelvin {
+                share: per_decade / PER_DECADE as f64 * (-1.0 / ratio).exp(),
+                time_constant_s: onset_s * ratio,
+            }
         });
         model.axes[place.on()].piezo.creep.extend(strains);
     }

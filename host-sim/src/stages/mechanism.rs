@@ -167,8 +167,8 @@ impl LinearMechanism {
             let before = self.state;
             for row in 1..self.states {
                 let mut sum = level.gamma0[row] * start_n + level.gamma1[row] * end_n;
-                for column in 0..self.states {
-                    sum += level.phi[row][column] * before[column];
+                for (weight, value) in level.phi[row].iter().zip(&before[..self.states]) {
+                    sum += weight * value;
                 }
                 self.state[row] = sum;
             }
