@@ -134,6 +134,10 @@ impl Recording {
     pub(crate) fn real_columns(&self) -> Vec<(Column, &[f32])> {
         let mut columns = Vec::new();
         for (axis, values) in self.drive_v.iter().enumerate() {
+            // An absent axis stays absent: its drive is only filled in when read.
+            if self.position_um[axis].is_none() && values.iter().all(|volts| *volts == 0.0) {
+                continue;
+            }
             columns.push((Column::Drive(axis), values.as_slice()));
         }
         type Group<'a> = (fn(usize) -> Column, &'a [Option<Vec<f32>>]);

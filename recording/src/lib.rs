@@ -140,6 +140,18 @@ impl Recording {
                 return Err(Error::invalid(name, what));
             }
         }
+        for axis in 0..axes {
+            // An axis may be absent; one that is driven or watched has a gauge.
+            let touched = self.drive_v[axis].iter().any(|volts| *volts != 0.0)
+                || self.monitor_v[axis].is_some()
+                || self.reference_um[axis].is_some();
+            if self.position_um[axis].is_none() && touched {
+                let number = axis + 1;
+                let what =
+                    format!("column `position_um_{number}` is missing (axis {number} has a drive)");
+                return Err(Error::invalid(name, what));
+            }
+        }
         let wrong_length = |column: &str, found: usize| {
             let what =
                 format!("column `{column}`: expected {rows} rows like `tick`, found {found}");

@@ -1,21 +1,32 @@
 //! `flexstage blind`: tests the diagnosis on recordings whose effects it is not told.
+//!
+//! Draws cases, writes their recordings and seals the key by its hash; runs `flexstage diagnose` as a process that gets
+//! nothing but a rig file and a folder of recordings; replays recordings that it never saw with the rig that it wrote; then
+//! opens the key and counts. Interrupted, it goes on where it was when started again with the same options.
 
-use std::path::PathBuf;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::Instant;
 
 use anyhow::{Context, bail};
+use host_sim::Rig;
 use indicatif::{ProgressBar, ProgressStyle};
-use truth::case::{Case, Draw, Sessions, key, seal};
+use recording::{Recording, Session};
+use truth::case::{Case, Draw, Label, Sessions, key, seal};
+use truth::effects::EFFECTS;
+use truth::score::{Answer, Judged, Outcome, score, summarise};
 
 /// Options of `flexstage blind`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Number of cases.
+    /// Number of cases (with --leave-one-out: of each effect).
     #[arg(long, default_value_t = 20)]
     cases: u64,
     /// Seed: the same seed draws the same cases.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Number of the first case (to continue, or to look at one).
+    /// Number of the first case (to look at one).
     #[arg(long, default_value_t = 0)]
     first: u64,
     /// Smallest gap, in multiples of the gauges' noise (rms over axes).
@@ -36,9 +47,18 @@ pub struct Args {
     /// Draw only these effects (comma separated).
     #[arg(long, value_delimiter = ',')]
     only: Vec<String>,
+    /// Take each effect out of the catalogue in turn and draw cases of it: the tool must say that it cannot explain them.
+    #[arg(long)]
+    leave_one_out: bool,
     /// Only write the cases and their key to this folder.
     #[arg(long, value_name = "DIR")]
     write_only: Option<PathBuf>,
+    /// Folder for recordings, key, answers and blind.json.
+    #[arg(long, default_value = "blind")]
+    out: PathBuf,
+    /// Keep the recordings after their diagnosis.
+    #[arg(long)]
+    keep: bool,
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -54,7 +74,9 @@ impl Args {
             bail!("--weights: expected four numbers, found {}", self.weights.len());
         };
         let weights = [null, single, pair, unknown];
-        if weights.iter().any(|weight| !(*weight >= 0.0)) || weights.iter().sum::<f64>() <= 0.0 {
+        if weights.iter().any(|weight| !(0.0..1e9).contains(weight))
+            || weights.iter().sum::<f64>() == 0.0
+        {
             bail!("--weights: expected numbers of zero or more, not all zero, found {weights:?}");
         }
         if !(self.min_ratio > 0.0 && self.max_ratio > self.min_ratio) {
@@ -81,36 +103,198 @@ impl Args {
             only: self.only.clone(),
         })
     }
+
+    /// What is to be drawn: folder, number, how, and the effect to leave out.
+    fn plan(&self) -> anyhow::Result<Vec<(String, u64, Draw, Option<&'static str>)>> {
+        let draw = self.draw()?;
+        let numbers = self.first..self.first + self.cases;
+        if !self.leave_one_out {
+            return Ok(numbers.map(|index| (String::new(), index, draw.clone(), None)).collect());
+        }
+        let mut plan = Vec::new();
+        for effect in
+            EFFECTS.iter().filter(|e| self.only.is_empty() || self.only.iter().any(|n| n == e.name))
+        {
+            let draw = Draw {
+                weights: [0.0, 1.0, 0.0, 0.0],
+                only: vec![effect.name.into()],
+                ..draw.clone()
+            };
+            plan.extend(
+                numbers
+                    .clone()
+                    .map(|i| (effect.name.to_string(), i, draw.clone(), Some(effect.name))),
+            );
+        }
+        Ok(plan)
+    }
+}
+
+fn progress(count: usize, what: &'static str) -> anyhow::Result<ProgressBar> {
+    let bar = ProgressBar::new(count as u64).with_message(what);
+    bar.set_style(ProgressStyle::with_template("{msg} {pos}/{len} {wide_bar} {eta}")?);
+    Ok(bar)
 }
 
 /// Run the command.
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let draw = args.draw()?;
-    let Some(folder) = &args.write_only else {
-        bail!("blind without --write-only is not built yet");
-    };
-    std::fs::create_dir_all(folder)
-        .with_context(|| format!("{}: cannot create", folder.display()))?;
-    let bar = ProgressBar::new(args.cases);
-    bar.set_style(ProgressStyle::with_template("{pos}/{len} cases {wide_bar} {eta}")?);
-    let mut labels = Vec::new();
-    for index in args.first..args.first + args.cases {
-        let case = Case::draw(args.seed, index, &draw);
-        case.write(folder).with_context(|| format!("{}: cannot write", folder.display()))?;
-        labels.push(case.label);
-        // Rewritten each time: an interruption leaves a key of what is there.
-        let text = key(&labels);
-        let path = folder.join("key.json");
-        std::fs::write(&path, &text)
-            .with_context(|| format!("{}: cannot write", path.display()))?;
+    let plan = args.plan()?;
+    let folder = args.write_only.as_ref().unwrap_or(&args.out).clone();
+    fs::create_dir_all(&folder).with_context(|| format!("{}: cannot create", folder.display()))?;
+    let answers = folder.join("answers");
+    let mut labels: Vec<Label> = Vec::new();
+    let mut excluded = Vec::new();
+    let bar = progress(plan.len(), "drawing")?;
+    for (prefix, index, draw, without) in plan {
+        // A case that was answered before is drawn from its label; the others are drawn anew, the same for the same seed.
+        let name = if prefix.is_empty() {
+            format!("case-{index:04}")
+        } else {
+            format!("{prefix}-{index:04}")
+        };
+        let label = folder.join(".labels").join(format!("{name}.json"));
+        let drawn: Option<Label> =
+            fs::read(&label).ok().and_then(|text| serde_json::from_slice(&text).ok());
+        let there = folder.join(&name).join("rig.toml").is_file()
+            || outcome_file(&answers, &name).is_file();
+        if let (Some(drawn), true, false) = (drawn, there, args.write_only.is_some()) {
+            labels.push(drawn);
+        } else {
+            let mut case = Case::draw(args.seed, index, &draw);
+            case.label.id = name;
+            case.write(&folder).with_context(|| format!("{}: cannot write", folder.display()))?;
+            fs::create_dir_all(folder.join(".labels"))?;
+            fs::write(&label, serde_json::to_vec(&case.label)?)?;
+            labels.push(case.label);
+        }
+        excluded.push(without);
         bar.inc(1);
     }
-    bar.finish();
+    bar.finish_and_clear();
+    let sealed = key(&labels);
     println!(
-        "{} cases in {}; SHA-256 of key.json: {}",
+        "{} cases in {}; SHA-256 of the key: {}",
         labels.len(),
         folder.display(),
-        seal(&key(&labels))
+        seal(&sealed)
     );
+    write(&folder.join("key.sha256"), format!("{}\n", seal(&sealed)).as_bytes())?;
+    if args.write_only.is_some() {
+        return write(&folder.join("key.json"), sealed.as_bytes());
+    }
+
+    fs::create_dir_all(&answers)?;
+    let bar = progress(labels.len(), "diagnosing")?;
+    let mut outcomes: Vec<Outcome> = Vec::new();
+    for (label, without) in labels.iter().zip(excluded) {
+        let file = outcome_file(&answers, &label.id);
+        let done = fs::read(&file).ok().and_then(|text| serde_json::from_slice(&text).ok());
+        let outcome = match done {
+            Some(outcome) => outcome,
+            None => {
+                let mut outcome = examine(&folder, &answers, label, without)?;
+                if without.is_some() {
+                    // What was left out of the catalogue is outside of it.
+                    outcome.right = outcome.named.is_empty() && outcome.verdict == "unexplained";
+                }
+                write(&file, &serde_json::to_vec_pretty(&outcome)?)?;
+                if !args.keep {
+                    fs::remove_dir_all(folder.join(&label.id))?;
+                }
+                outcome
+            }
+        };
+        let truth: Vec<String> =
+            label.truth.iter().map(|t| format!("{}{:?}", t.effect, t.axes)).collect();
+        let mark = if outcome.right { "right" } else { "WRONG" };
+        let (truth, named) = (truth.join(" + "), outcome.named.join(" + "));
+        bar.suspend(|| {
+            println!(
+                "{mark} {}: {truth} -> {} {named} ({:.1} s)",
+                label.id, outcome.verdict, outcome.seconds
+            );
+        });
+        outcomes.push(outcome);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    write(&folder.join("key.json"), sealed.as_bytes())?;
+    let summary = summarise(&outcomes);
+    let json = serde_json::json!({ "seed": args.seed, "summary": summary, "cases": outcomes });
+    write(&folder.join("blind.json"), serde_json::to_string_pretty(&json)?.as_bytes())?;
+    if args.leave_one_out {
+        let right = outcomes.iter().filter(|outcome| outcome.right).count();
+        let share = truth::score::Share::of(right, outcomes.len());
+        println!(
+            "effect taken out of the catalogue, and nothing else blamed: {right} of {}",
+            outcomes.len()
+        );
+        println!("95 % interval: {:.1} to {:.1} %", 100.0 * share.ci95.0, 100.0 * share.ci95.1);
+    } else {
+        print!("{}", summary.text());
+    }
+    println!("{}", folder.join("blind.json").display());
     Ok(())
+}
+
+fn outcome_file(answers: &Path, id: &str) -> PathBuf {
+    answers.join(id).join("outcome.json")
+}
+
+fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    fs::write(path, bytes).with_context(|| format!("{}: cannot write", path.display()))
+}
+
+/// Diagnoses one case with the command that users have, and judges what it wrote.
+fn examine(
+    folder: &Path,
+    answers: &Path,
+    label: &Label,
+    without: Option<&str>,
+) -> anyhow::Result<Outcome> {
+    let case = folder.join(&label.id);
+    let out = answers.join(&label.id);
+    let mut command = Command::new(std::env::current_exe()?);
+    command.arg("diagnose").arg("--rig").arg(case.join("rig.toml")).arg(case.join("session"));
+    command.arg("--out").arg(&out).stdout(Stdio::null()).stderr(Stdio::piped());
+    if let Some(effect) = without {
+        command.arg("--exclude").arg(effect);
+    }
+    let started = Instant::now();
+    let process = command.output().context("cannot start the diagnosis")?;
+    let seconds = started.elapsed().as_secs_f64();
+    fs::create_dir_all(&out)?;
+    if !process.status.success() {
+        write(&out.join("failed.txt"), &process.stderr)?;
+        return Ok(score(label, None, None, seconds));
+    }
+    let path = out.join("diagnosis.json");
+    let text = fs::read(&path).with_context(|| format!("{}: cannot read", path.display()))?;
+    let answer: Answer =
+        serde_json::from_slice(&text).with_context(|| path.display().to_string())?;
+    let before = Rig::load(&case.join("rig.toml"))?;
+    let after = Rig::load(&out.join("rig.toml"))?;
+    let judging = Session::read(case.join("judging"), None)?;
+    let (mut sums, mut count) = ([0.0; 2], 0.0);
+    for entry in &judging.recordings {
+        for (sum, rig) in sums.iter_mut().zip([&before, &after]) {
+            let predicted = crate::replay::predict(rig, &entry.recording, &entry.path)?;
+            *sum += square_error(&entry.recording, &predicted);
+        }
+        count += ((entry.recording.len() - entry.recording.settle_rows()) * entry.recording.axes())
+            as f64;
+    }
+    let [before_nm, after_nm] = sums.map(|sum| 1e3 * (sum / count).sqrt());
+    Ok(score(label, Some(&answer), Some(Judged { before_nm, after_nm }), seconds))
+}
+
+/// Sum of squared differences of positions (um^2) after settling.
+fn square_error(measured: &Recording, predicted: &Recording) -> f64 {
+    let from = measured.settle_rows();
+    let pairs = measured.position_um.iter().zip(&predicted.position_um);
+    pairs
+        .filter_map(|(measured, predicted)| Some((measured.as_ref()?, predicted.as_ref()?)))
+        .flat_map(|(measured, predicted)| measured[from..].iter().zip(&predicted[from..]))
+        .map(|(a, b)| f64::from(a - b).powi(2))
+        .sum()
 }
