@@ -20,6 +20,9 @@ pub(crate) enum Column {
     Reference(usize),
 }
 
+/// Makes a column of an axis.
+pub(crate) type OfAxis = fn(usize) -> Column;
+
 impl Column {
     /// `None` for a column that is not ours.
     pub(crate) fn parse(name: &str) -> Option<Self> {
@@ -140,7 +143,7 @@ impl Recording {
             }
             columns.push((Column::Drive(axis), values.as_slice()));
         }
-        type Group<'a> = (fn(usize) -> Column, &'a [Option<Vec<f32>>]);
+        type Group<'a> = (OfAxis, &'a [Option<Vec<f32>>]);
         let optional: [Group; 3] = [
             (Column::Monitor, &self.monitor_v),
             (Column::Position, &self.position_um),

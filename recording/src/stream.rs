@@ -18,7 +18,7 @@ use parquet::file::metadata::{
 };
 use parquet::file::writer::SerializedFileWriter;
 
-use crate::columns::Column;
+use crate::columns::{Column, OfAxis};
 use crate::parquet::{Values, cannot_write, properties, schema, write_group};
 use crate::{Error, Meta, Recording, Result};
 
@@ -107,7 +107,7 @@ impl StreamWriter {
             }
         }
         let mut columns = vec![Column::Tick];
-        let groups: [(bool, fn(usize) -> Column); 4] = [
+        let groups: [(bool, OfAxis); 4] = [
             (true, Column::Drive),
             (channels.monitor, Column::Monitor),
             (true, Column::Position),

@@ -253,7 +253,7 @@ fn a_stream_that_is_cut_loses_at_most_a_second() {
         if (data_cut, entries_cut) == (0, 0) {
             assert_eq!(recording.len(), 1200);
         }
-        assert!(recording.len() % 100 == 0 && !recording.is_empty());
+        assert!(recording.len().is_multiple_of(100) && !recording.is_empty());
         assert_eq!(recording, Recording::read(&path).unwrap());
         fs::remove_file(&path).unwrap();
     }

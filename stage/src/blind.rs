@@ -68,6 +68,15 @@ enum SessionKind {
     Mixed,
 }
 
+/// A case to be drawn.
+struct Planned {
+    id: String,
+    number: u64,
+    draw: Draw,
+    /// Effect that the diagnosis has to do without.
+    without: Option<&'static str>,
+}
+
 impl Args {
     fn draw(&self) -> anyhow::Result<Draw> {
         let &[null, single, pair, unknown] = self.weights.as_slice() else {
@@ -104,12 +113,18 @@ impl Args {
         })
     }
 
-    /// What is to be drawn: folder, number, how, and the effect to leave out.
-    fn plan(&self) -> anyhow::Result<Vec<(String, u64, Draw, Option<&'static str>)>> {
+    /// What is to be drawn.
+    fn plan(&self) -> anyhow::Result<Vec<Planned>> {
         let draw = self.draw()?;
         let numbers = self.first..self.first + self.cases;
         if !self.leave_one_out {
-            return Ok(numbers.map(|index| (String::new(), index, draw.clone(), None)).collect());
+            let plain = |number| Planned {
+                id: format!("case-{number:04}"),
+                number,
+                draw: draw.clone(),
+                without: None,
+            };
+            return Ok(numbers.map(plain).collect());
         }
         let mut plan = Vec::new();
         for effect in
@@ -120,11 +135,12 @@ impl Args {
                 only: vec![effect.name.into()],
                 ..draw.clone()
             };
-            plan.extend(
-                numbers
-                    .clone()
-                    .map(|i| (effect.name.to_string(), i, draw.clone(), Some(effect.name))),
-            );
+            plan.extend(numbers.clone().map(|number| Planned {
+                id: format!("{}-{number:04}", effect.name),
+                number,
+                draw: draw.clone(),
+                without: Some(effect.name),
+            }));
         }
         Ok(plan)
     }
@@ -145,23 +161,18 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let mut labels: Vec<Label> = Vec::new();
     let mut excluded = Vec::new();
     let bar = progress(plan.len(), "drawing")?;
-    for (prefix, index, draw, without) in plan {
+    for Planned { id, number, draw, without } in plan {
         // A case that was answered before is drawn from its label; the others are drawn anew, the same for the same seed.
-        let name = if prefix.is_empty() {
-            format!("case-{index:04}")
-        } else {
-            format!("{prefix}-{index:04}")
-        };
-        let label = folder.join(".labels").join(format!("{name}.json"));
+        let label = folder.join(".labels").join(format!("{id}.json"));
         let drawn: Option<Label> =
             fs::read(&label).ok().and_then(|text| serde_json::from_slice(&text).ok());
-        let there = folder.join(&name).join("rig.toml").is_file()
-            || outcome_file(&answers, &name).is_file();
+        let there =
+            folder.join(&id).join("rig.toml").is_file() || outcome_file(&answers, &id).is_file();
         if let (Some(drawn), true, false) = (drawn, there, args.write_only.is_some()) {
             labels.push(drawn);
         } else {
-            let mut case = Case::draw(args.seed, index, &draw);
-            case.label.id = name;
+            let mut case = Case::draw(args.seed, number, &draw);
+            case.label.id = id;
             case.write(&folder).with_context(|| format!("{}: cannot write", folder.display()))?;
             fs::create_dir_all(folder.join(".labels"))?;
             fs::write(&label, serde_json::to_vec(&case.label)?)?;

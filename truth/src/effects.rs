@@ -153,7 +153,7 @@ impl Drawn {
             // Size is how far the limit is below 0.6 A.
             "amplifier-current-limit" => axis.current = (0.6 / (1.0 + size), variant < 2),
             "amplifier-clipping" => {
-                let knee = if variant % 2 == 0 { 0.0 } else { 0.02 * size + 0.05 };
+                let knee = if variant.is_multiple_of(2) { 0.0 } else { 0.02 * size + 0.05 };
                 // Size is how far the rail reaches into 0 to 100 V.
                 if variant < 4 {
                     axis.clip.1 = 100.0 - size;
@@ -211,7 +211,7 @@ impl Drawn {
             "preload-loss" => {
                 let lost = axis.constants.mechanism_n_per_m * form.random_range(0.5..1.0);
                 let width = if variant < 3 { 5e-9 } else { 0.1e-6 * form.random_range(0.5..2.0) };
-                axis.contact = Some((lost, 1e-6 * size, width, variant % 2 == 0));
+                axis.contact = Some((lost, 1e-6 * size, width, variant.is_multiple_of(2)));
             }
             "inertia" => axis.constants.mass_kg += size,
             "second-mass" => {

@@ -51,9 +51,9 @@ struct Preisach {
 }
 
 impl Preisach {
-    /// Voltage and slope at charge `q` on the present branch.
-    fn branch(&self, q: f64) -> (f64, f64) {
-        let (from, start) = self.turns.last().copied().unwrap_or((0.0, 0.0));
+    /// Voltage and slope at charge `q` on the branch that began at the last turn.
+    fn branch(&self, turns: &[(f64, f64)], q: f64) -> (f64, f64) {
+        let (from, start) = turns.last().copied().unwrap_or((0.0, 0.0));
         let distance = (q - from).abs();
         let middle = 1.0 + self.skew_per_c * 0.5 * (q + from);
         // Steep at first, then saturating: E = 2 h d / (d + 2 w), the way a Maxwell sum with decreasing stiffness goes.
@@ -65,33 +65,19 @@ impl Preisach {
     }
 
     fn at(&self, q: f64, last: f64) -> (f64, f64) {
-        let mut copy = None;
-        if (q > last) != self.rising && q != last {
-            let mut turned = self.clone();
-            turned.turn(last);
-            copy = Some(turned);
+        let rising = if q == last { self.rising } else { q > last };
+        let mut turns = self.turns.as_slice();
+        let turned;
+        if rising != self.rising {
+            turned = [turns, &[(last, self.voltage_v)]].concat();
+            turns = &turned;
         }
-        let operator = copy.as_mut().map_or_else(|| self.clone(), |c| c.clone());
-        let mut operator = operator;
-        operator.wipe(q);
-        operator.branch(q)
+        self.branch(left(turns, rising, q), q)
     }
 
     fn turn(&mut self, at: f64) {
         self.turns.push((at, self.voltage_v));
         self.rising = !self.rising;
-    }
-
-    /// Wiping out: passing an earlier extremum closes the minor loop and continues the branch before it.
-    fn wipe(&mut self, q: f64) {
-        while self.turns.len() >= 3 {
-            let earlier = self.turns[self.turns.len() - 2].0;
-            let passed = if self.rising { q > earlier } else { q < earlier };
-            if !passed {
-                break;
-            }
-            self.turns.truncate(self.turns.len() - 2);
-        }
     }
 
     fn commit(&mut self, q: f64, last: f64) {
@@ -101,13 +87,25 @@ impl Preisach {
         if (q > last) != self.rising {
             self.turn(last);
         }
-        self.wipe(q);
-        self.voltage_v = self.branch(q).0;
+        self.turns.truncate(left(&self.turns, self.rising, q).len());
+        self.voltage_v = self.branch(&self.turns, q).0;
         // A memory of 64 nested reversals is beyond what any excitation here writes; the innermost ones are the smallest.
         if self.turns.len() > 64 {
             self.turns.drain(1..3);
         }
     }
+}
+
+/// Wiping out: passing an earlier extremum closes the minor loop and continues the branch before it.
+fn left(mut turns: &[(f64, f64)], rising: bool, q: f64) -> &[(f64, f64)] {
+    while turns.len() >= 3 {
+        let earlier = turns[turns.len() - 2].0;
+        if (rising && q <= earlier) || (!rising && q >= earlier) {
+            break;
+        }
+        turns = &turns[..turns.len() - 2];
+    }
+    turns
 }
 
 impl Hysteresis {

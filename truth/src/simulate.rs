@@ -206,17 +206,17 @@ pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Opt
             for index in 0..axes {
                 let axis = &mut world.axes[index];
                 let mut asked = axis.drive.0 * commands[index] + axis.drive.1;
-                for from in 0..axes {
-                    asked += world.drive_cross[index][from] * commands[from];
+                for (share, command) in world.drive_cross[index].iter().zip(&commands) {
+                    asked += share * command;
                 }
                 for fault in world.faults.iter_mut().filter(|fault| fault.axis == index) {
                     asked = fault.drive(tick, time, asked);
                 }
                 let mut force = moving[index].outside_n;
-                for from in 0..axes {
-                    if from != index {
-                        force -= world.stiffness_cross[index][from] * displacements[from];
-                    }
+                for (stiffness, displacement) in
+                    world.stiffness_cross[index].iter().zip(&displacements)
+                {
+                    force -= stiffness * displacement;
                 }
                 amplifier(axis, &mut moving[index], asked, time, dt);
                 mechanics(axis, &mut moving[index], force, dt);
