@@ -4,6 +4,10 @@
 //! checks what can be checked without the controller, asks the device, and says what took effect.
 //!
 //! Large messages (settings, table points) are dealt with before anything waits, so that the board need not keep them.
+#![expect(
+    clippy::result_large_err,
+    reason = "a refusal names the setting that cannot be used, and nothing can be allocated"
+)]
 
 use super::frame::{Frame, Kind};
 use super::identity::Identity;
