@@ -30,7 +30,8 @@ pub const HISTOGRAM_BINS: usize = 16;
 /// Width of a histogram bin in core clock cycles; the last bin also counts everything longer.
 pub const HISTOGRAM_BIN_CYCLES: u32 = 512;
 
-/// What the host may ask for. Any of them restarts the command timeout.
+/// What the host may ask for. Those that reach the controller (arming, motion, [`Command::KeepAlive`]) restart the command timeout;
+/// reading state does not.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 #[expect(
     clippy::large_enum_variant,
