@@ -97,6 +97,9 @@ impl Feedback {
 
         let mut sum = (self.proportional * error + state.integral).narrow() + state.derivative;
         for (notch, memory) in self.notches.iter().zip(state.notches.iter_mut()) {
+            if rebase {
+                memory.settle(sum);
+            }
             sum = notch.step(memory, sum);
         }
         (sum, at_limit)

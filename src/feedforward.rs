@@ -46,6 +46,7 @@ pub struct FeedforwardState {
     pub(crate) hysteresis: HysteresisState,
     pub(crate) creep: CreepState,
     stack: Volt,
+    change: Volt,
 }
 
 impl FeedforwardState {
@@ -54,6 +55,7 @@ impl FeedforwardState {
         hysteresis: HysteresisState::relaxed(MicroCoulomb::ZERO),
         creep: CreepState::REST,
         stack: Volt::ZERO,
+        change: Volt::ZERO,
     };
 
     /// As [`FeedforwardState::REST`], in place.
@@ -62,6 +64,7 @@ impl FeedforwardState {
         self.hysteresis.reset(MicroCoulomb::ZERO);
         self.creep.reset();
         self.stack = Volt::ZERO;
+        self.change = Volt::ZERO;
     }
 }
 
@@ -100,10 +103,11 @@ impl Feedforward {
             }
             stack += state.hysteresis.step(&self.maxwell, charge);
         }
-        if rebase {
-            state.stack = stack;
+        // With new coefficients the stack's voltage is another one; it goes on changing as before.
+        if !rebase {
+            state.change = stack - state.stack;
         }
-        let change = stack - state.stack;
+        let change = state.change;
         state.stack = stack;
         if self.lead.is_zero() { stack } else { stack + (self.lead * change).narrow() }
     }

@@ -34,6 +34,15 @@ impl NotchState {
     pub(crate) const REST: Self = Self { x1: 0, x2: 0, y1: 0, y2: 0, error: 0 };
 }
 
+impl NotchState {
+    /// As after a long time at `x`: a notch passes what is constant.
+    #[inline(always)]
+    pub(crate) fn settle(&mut self, x: Volt) {
+        let x = x.to_bits();
+        (self.x1, self.x2, self.y1, self.y2, self.error) = (x, x, x, x, 0);
+    }
+}
+
 impl Notch {
     /// Notch at `turns` cycles per sample (0 < turns < 0.5) with damping ratio `damping` of its poles and `depth` (0 to 1) left
     /// at the centre.

@@ -247,11 +247,11 @@ fn frequency_fit(channel: &Channel, part: &std::ops::Range<usize>) -> Frequency 
             let row = [*m, Complex::new(0.0, -w) * x, x * w * w];
             let weight = 1.0
                 / Complex::new(1.0 - w * w * solution[2], w * solution[1]).norm_sqr().max(1.0e-3);
-            for i in 0..3 {
-                for j in 0..3 {
-                    normal[(i, j)] += weight * (row[i].conj() * row[j]).re;
+            for (i, a) in row.iter().enumerate() {
+                for (j, b) in row.iter().enumerate() {
+                    normal[(i, j)] += weight * (a.conj() * b).re;
                 }
-                right[i] += weight * (row[i].conj() * x).re;
+                right[i] += weight * (a.conj() * x).re;
             }
         }
         solution = normal.lu().solve(&right).unwrap_or(solution);
