@@ -19,6 +19,7 @@ pub mod intake;
 pub mod knobs;
 pub mod locate;
 pub mod picture;
+pub mod platform;
 pub mod pyramid;
 pub mod scene;
 pub mod screen;

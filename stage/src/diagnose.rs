@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use host_sim::rig::Rig;
+use host_sim::AnyRig;
 use recording::Session;
 
 /// Options of `flexstage diagnose`.
@@ -28,7 +28,7 @@ pub struct Args {
 
 /// Run the command.
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let rig = Rig::load(&args.rig).map_err(|e| anyhow::anyhow!("{e}"))?;
+    let rig = AnyRig::load(&args.rig)?;
     let session = Session::read(&args.session, args.sample_rate)?;
     for name in &args.exclude {
         if host_sim::effects::find(name).is_none() {
@@ -40,6 +40,10 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     if args.out.exists() && !args.out.is_dir() {
         bail!("{}: expected a folder for the answer, found a file", args.out.display());
     }
+    let rig = match rig {
+        AnyRig::Stage(rig) => rig,
+        AnyRig::Platform(rig) => return crate::platform::diagnose(&rig, &session, &args.out),
+    };
     let options = gap::Options { exclude: args.exclude, progress: true };
     let outcome = gap::diagnose(&rig, &session, &options)?;
     let mut json = serde_json::to_string_pretty(&outcome.diagnosis)?;

@@ -12,6 +12,7 @@ mod blind;
 mod diagnose;
 mod identify;
 mod import;
+mod platform;
 mod replay;
 
 /// Drive, watch and understand a piezo-driven flexure stage.

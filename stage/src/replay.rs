@@ -7,7 +7,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use host_sim::{Axes, Input, Rig};
+use host_sim::{AnyRig, Axes, Input, Rig};
 use recording::Recording;
 
 /// Options of `flexstage replay`.
@@ -28,10 +28,16 @@ pub struct Args {
 
 /// Run the command.
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let rig = Rig::load(&args.rig)?;
+    let rig = AnyRig::load(&args.rig)?;
     let recording = match args.sample_rate {
         Some(rate) => Recording::read_csv(&args.recording, rate)?,
         None => Recording::read(&args.recording)?,
+    };
+    let rig = match rig {
+        AnyRig::Stage(rig) => rig,
+        AnyRig::Platform(rig) => {
+            return crate::platform::replay(&rig, &recording, &args.recording, &args.out);
+        }
     };
     let predicted = predict(&rig, &recording, &args.recording)?;
     predicted.write(&args.out)?;
