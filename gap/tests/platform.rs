@@ -83,7 +83,8 @@ fn check_second_mass(outcome: &Outcome) {
 
 #[test]
 fn one_recording_names_the_second_mass_and_its_dampers() {
-    let recording = recorded("a", 1430.0, 8.0, 4.0, 7, two_springs(1430.0, 2.0 / 3.0, 0.625, 25.0 / 3.0));
+    let recording =
+        recorded("a", 1430.0, 8.0, 4.0, 7, two_springs(1430.0, 2.0 / 3.0, 0.625, 25.0 / 3.0));
     let outcome = answer(&one_mass(), vec![recording]);
     check_second_mass(&outcome);
     for (index, damper) in [(0, 9600.0), (1, 1440.0)] {
@@ -91,7 +92,13 @@ fn one_recording_names_the_second_mass_and_its_dampers() {
         assert!((found / damper - 1.0).abs() < 0.02, "damper {index}: {found}");
     }
     let notes = outcome.diagnosis.notes.join("\n");
-    for statement in ["Mass of mass 1", "Common scale of forces", "Order of the springs", "Where in time", "drift"] {
+    for statement in [
+        "Mass of mass 1",
+        "Common scale of forces",
+        "Order of the springs",
+        "Where in time",
+        "drift",
+    ] {
         assert!(notes.contains(statement), "{statement} in {notes}");
     }
     let html = outcome.report.to_html();
@@ -238,7 +245,11 @@ fn identify_tells_masses_only_where_they_show() {
     rig.masses[0].damping_n_s_per_m = 1.3;
     let session = Session { recordings: vec![recorded("a", 1000.0, 4.0, 4.0, 5, truth)] };
     let found = identify(&rig, &session).unwrap();
-    assert!((found.rig.masses[0].mass_kg / m - 1.0).abs() < 5e-3, "{}", found.rig.masses[0].mass_kg);
+    assert!(
+        (found.rig.masses[0].mass_kg / m - 1.0).abs() < 5e-3,
+        "{}",
+        found.rig.masses[0].mass_kg
+    );
     assert!((found.rig.masses[0].damping_n_s_per_m / c - 1.0).abs() < 1e-2);
     assert!(found.after_nm < 1.05 * found.floor_nm, "{} {}", found.after_nm, found.floor_nm);
 
@@ -271,7 +282,8 @@ fn bad_recordings_are_named() {
         (short, "samples"),
         (wide, "one axis"),
     ] {
-        let error = identify(&one_mass(), &Session { recordings: vec![entry] }).unwrap_err().to_string();
+        let error =
+            identify(&one_mass(), &Session { recordings: vec![entry] }).unwrap_err().to_string();
         assert!(error.starts_with("a.parquet: ") && error.contains(word), "{error}");
         assert!(!error.contains('\n'));
     }

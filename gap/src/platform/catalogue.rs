@@ -109,9 +109,7 @@ impl Effect {
         match self {
             Self::SecondMass => rig.masses.len() == 1,
             Self::ThirdMass => rig.masses.len() >= 2 && rig.masses.len() < 6,
-            Self::Viscoelasticity => {
-                rig.masses.iter().all(|m| m.effects.viscoelasticity.is_none())
-            }
+            Self::Viscoelasticity => rig.masses.iter().all(|m| m.effects.viscoelasticity.is_none()),
             Self::StiffnessHardening => {
                 rig.masses.iter().all(|m| m.effects.stiffness_hardening.is_none())
             }
@@ -122,7 +120,7 @@ impl Effect {
 
     /// The chain with this effect, and starting points of the fit. Dampers are free in every one: they are what the paper
     /// leaves free, and no effect may be credited with what a damper explains.
-    pub fn add(self, from: &Fit) -> (Model, Vec<Vec<f64>>) {
+    pub fn extend(self, from: &Fit) -> (Model, Vec<Vec<f64>>) {
         let mut model = from.model.clone();
         model.free_chain();
         match self {
@@ -139,7 +137,11 @@ impl Effect {
                     .map(|more| {
                         let moved = model.knobs.iter().zip(&start);
                         moved
-                            .map(|(knob, v)| if matches!(knob, Knob::Mass(_)) { v + more } else { *v })
+                            .map(
+                                |(knob, v)| {
+                                    if matches!(knob, Knob::Mass(_)) { v + more } else { *v }
+                                },
+                            )
                             .collect()
                     })
                     .collect();
@@ -180,7 +182,11 @@ fn with_rates(model: Model) -> (Model, Vec<Vec<f64>>) {
         .map(|shift| {
             let knobs = model.knobs.iter().zip(&start);
             knobs
-                .map(|(knob, value)| if matches!(knob, Knob::Rate(_)) { value + shift } else { *value })
+                .map(
+                    |(knob, value)| {
+                        if matches!(knob, Knob::Rate(_)) { value + shift } else { *value }
+                    },
+                )
                 .collect()
         })
         .collect();

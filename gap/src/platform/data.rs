@@ -59,9 +59,8 @@ pub fn free_return_of(
     recording: &Recording,
     file: &Path,
 ) -> Result<(f64, Vec<f64>), PlatformDataError> {
-    let fail = |message: String| {
-        Err(PlatformDataError { file: file.display().to_string(), message })
-    };
+    let fail =
+        |message: String| Err(PlatformDataError { file: file.display().to_string(), message });
     let Some(initial_um) = recording.meta.initial_position_um else {
         return fail(
             "key initial_position_um is missing from the metadata: a free return of a platform needs the deflection \
@@ -150,9 +149,8 @@ pub fn split(returns: &[Return]) -> Split {
         for (index, chunk) in rows.chunks(block).enumerate() {
             if index % 2 == 0 { &mut fit } else { &mut held_out }.extend_from_slice(chunk);
         }
-        split.how = format!(
-            "one recording: blocks of {block} samples are fitted and held out in turn"
-        );
+        split.how =
+            format!("one recording: blocks of {block} samples are fitted and held out in turn");
         split.fit.rows.push((0, fit));
         split.held_out.rows.push((0, held_out));
         return split;
@@ -170,7 +168,6 @@ pub fn split(returns: &[Return]) -> Split {
         let list: Vec<&str> = part.rows.iter().map(|(i, _)| returns[*i].file.as_str()).collect();
         list.join(", ")
     };
-    split.how =
-        format!("fitted: {}; held out: {}", names(&split.fit), names(&split.held_out));
+    split.how = format!("fitted: {}; held out: {}", names(&split.fit), names(&split.held_out));
     split
 }

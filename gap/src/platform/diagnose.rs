@@ -21,7 +21,8 @@ use super::{
     tell,
 };
 use crate::diagnosis::{
-    AxisGap, Cause, Diagnosis, Gap, Location, NextExperiment, Parameter, RecordingGap, Role, Verdict,
+    AxisGap, Cause, Diagnosis, Gap, Location, NextExperiment, Parameter, RecordingGap, Role,
+    Verdict,
 };
 
 /// What a diagnosis gives.
@@ -100,11 +101,7 @@ pub fn diagnose(rig: &PlatformRig, session: &Session) -> Result<Outcome, Platfor
     let diagnosis = Diagnosis {
         verdict,
         location: location(data, &selection, &gap, verdict, &split),
-        causes: selection
-            .accepted
-            .iter()
-            .map(|accepted| cause(accepted, &found, memory))
-            .collect(),
+        causes: selection.accepted.iter().map(|accepted| cause(accepted, &found, memory)).collect(),
         next_experiment: ambiguity,
         recordings: recordings(data, rig, &selection.fit.model.rig, &split),
         notes: notes(data, &found, &selection, &all, &windows, memory, &gap),
@@ -351,9 +348,9 @@ pub fn effect_parameters(effect: Effect, found: &Fit, memory: f64) -> Vec<Named>
         Effect::SensorOffset => {
             sensor("offset_m", "m", false, |e| e.sensor_offset.map_or(0.0, |e| e.offset_m))
         }
-        Effect::SensorDrift => {
-            sensor("drift_m_per_s", "m/s", false, |e| e.sensor_drift.map_or(0.0, |e| e.drift_m_per_s))
-        }
+        Effect::SensorDrift => sensor("drift_m_per_s", "m/s", false, |e| {
+            e.sensor_drift.map_or(0.0, |e| e.drift_m_per_s)
+        }),
         Effect::SensorBandwidth => sensor("time_constant_s", "s", true, |e| {
             e.sensor_bandwidth.map_or(0.0, |e| e.time_constant_s)
         }),
@@ -415,13 +412,13 @@ fn separating_frequency_hz(a: &PlatformRig, b: &PlatformRig) -> Option<f64> {
 
 /// Gap in stretches of time that double in length.
 fn windows(data: Data, before: &PlatformRig, after: &PlatformRig, all: &Part) -> Vec<Window> {
-    let (Ok(before), Ok(after)) = (data.residuals_m(before, all), data.residuals_m(after, all)) else {
+    let (Ok(before), Ok(after)) = (data.residuals_m(before, all), data.residuals_m(after, all))
+    else {
         return Vec::new();
     };
     let end = data.returns.iter().filter_map(|r| r.time_s.last()).fold(0.0_f64, |a, b| a.max(*b));
-    let edges: Vec<f64> = std::iter::once(0.0)
-        .chain((0..8).rev().map(|i| end / f64::from(1 << i)))
-        .collect();
+    let edges: Vec<f64> =
+        std::iter::once(0.0).chain((0..8).rev().map(|i| end / f64::from(1 << i))).collect();
     let mut sums = vec![(0.0, 0.0, 0.0, 0usize); edges.len() - 1];
     for (((index, rows), before), after) in all.rows.iter().zip(&before).zip(&after) {
         let floor = data.noise[*index].rms_m.powi(2);
@@ -509,9 +506,8 @@ fn drift_line(data: Data, found: &Fit, all: &Part, memory: f64) -> Option<String
     model.free(Knob::SensorDrift);
     let start = model.values();
     let fit = fit(data, &model, all, &[start])?;
-    let offset = fit.estimate(memory, false, |rig| {
-        rig.effects.sensor_offset.map_or(0.0, |e| e.offset_m * 1e6)
-    });
+    let offset = fit
+        .estimate(memory, false, |rig| rig.effects.sensor_offset.map_or(0.0, |e| e.offset_m * 1e6));
     let drift = fit.estimate(memory, false, |rig| {
         rig.effects.sensor_drift.map_or(0.0, |e| e.drift_m_per_s * 1e6)
     });

@@ -53,7 +53,11 @@ pub struct Estimate {
 
 impl Data<'_> {
     /// What the rig predicts for the rows of a part, minus what was measured, in metres, part by part.
-    pub fn residuals_m(&self, rig: &PlatformRig, part: &Part) -> Result<Vec<Vec<f64>>, PlatformError> {
+    pub fn residuals_m(
+        &self,
+        rig: &PlatformRig,
+        part: &Part,
+    ) -> Result<Vec<Vec<f64>>, PlatformError> {
         part.rows
             .iter()
             .map(|(index, rows)| {
@@ -143,8 +147,7 @@ pub fn fit(data: Data, model: &Model, part: &Part, starts: &[Vec<f64>]) -> Optio
     }
     let mut best: Option<(f64, Vec<f64>)> = None;
     for start in starts {
-        let problem =
-            Problem { data, part, model, values: DVector::from_column_slice(start) };
+        let problem = Problem { data, part, model, values: DVector::from_column_slice(start) };
         let (problem, _) = LevenbergMarquardt::new().with_patience(30).minimize(problem);
         let chi2 = data.chi2(&model.at(problem.values.as_slice()), part);
         if chi2.is_finite() && best.as_ref().is_none_or(|(least, _)| chi2 < *least) {

@@ -46,10 +46,12 @@ pub fn identify(rig: &PlatformRig, session: &Session) -> Result<Identified, Plat
     let noise: Vec<Noise> = returns.iter().map(noise::measure).collect();
     let data = Data { returns: &returns, noise: &noise };
     let part = Part::all(&returns);
-    let unusable = |message: &str| PlatformDataError { file: rig.name.clone(), message: message.to_owned() };
+    let unusable =
+        |message: &str| PlatformDataError { file: rig.name.clone(), message: message.to_owned() };
     let refit = chain_fit(data, rig, &part)
         .ok_or_else(|| unusable("the chain cannot be simulated with any parameters near these"))?;
-    let before = rms_m(data, rig, &part).ok_or_else(|| unusable("the chain cannot be simulated"))?;
+    let before =
+        rms_m(data, rig, &part).ok_or_else(|| unusable("the chain cannot be simulated"))?;
     let after = rms_m(data, &refit.model.rig, &part).unwrap_or(f64::NAN);
     let memory = fit_memory(data, &refit, &part);
     let parameters = chain_parameters(&refit, memory);
@@ -95,7 +97,11 @@ pub fn chain_fit(data: Data, rig: &PlatformRig, part: &Part) -> Option<Fit> {
         .map(|shift| {
             let knobs = model.knobs.iter().zip(&nominal);
             knobs
-                .map(|(knob, value)| if matches!(knob, Knob::Rate(_)) { value + shift } else { *value })
+                .map(
+                    |(knob, value)| {
+                        if matches!(knob, Knob::Rate(_)) { value + shift } else { *value }
+                    },
+                )
                 .collect()
         })
         .collect();

@@ -63,7 +63,11 @@ impl Knob {
     pub fn get(self, rig: &PlatformRig) -> f64 {
         let springs = rig.stiffness_n_per_m();
         let branch = |spring: usize, index: usize| {
-            rig.masses[spring].effects.viscoelasticity.as_ref().and_then(|e| e.branches().nth(index))
+            rig.masses[spring]
+                .effects
+                .viscoelasticity
+                .as_ref()
+                .and_then(|e| e.branches().nth(index))
         };
         let floor = |value: f64| value.max(1e-30).ln();
         let value = match self {
@@ -177,9 +181,8 @@ fn set_share(rig: &mut PlatformRig, index: usize, value: f64) {
 /// Stiffness and damping of a branch, made if it is not there.
 fn branch_mut(rig: &mut PlatformRig, spring: usize, index: usize) -> (&mut f64, &mut f64) {
     let stiffness = rig.stiffness_n_per_m()[spring];
-    let effect = rig.masses[spring].effects.viscoelasticity.get_or_insert_with(|| Viscoelasticity {
-        stiffness_n_per_m: Vec::new(),
-        damping_n_s_per_m: Vec::new(),
+    let effect = rig.masses[spring].effects.viscoelasticity.get_or_insert_with(|| {
+        Viscoelasticity { stiffness_n_per_m: Vec::new(), damping_n_s_per_m: Vec::new() }
     });
     while effect.stiffness_n_per_m.len() <= index {
         effect.stiffness_n_per_m.push(stiffness);

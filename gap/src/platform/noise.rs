@@ -58,8 +58,7 @@ pub fn measure(data: &Return) -> Noise {
         let at = |i: usize| data.position_m[window[i]];
         differences.push((at(3) - 3.0 * at(2) + 3.0 * at(1) - at(0)).powi(2) / 20.0);
     }
-    let differences =
-        differences.iter().sum::<f64>() / differences.len().max(1) as f64;
+    let differences = differences.iter().sum::<f64>() / differences.len().max(1) as f64;
     Noise {
         rms_m: mean.sqrt().max(data.initial_m.abs() * 1e-7), // float32 cannot show less
         differences_m: differences.sqrt(),

@@ -34,7 +34,8 @@ pub fn report(findings: &Findings) -> Report {
     }
     report = report.section("Where in time");
     let mut bars = BarPlot::new("Share of the gap's energy").y("share");
-    let mut windows = Table::new(["after the release", "rig as given", "with what was found", "share"]);
+    let mut windows =
+        Table::new(["after the release", "rig as given", "with what was found", "share"]);
     for window in &findings.windows {
         let span = format!("{:.2} to {:.2} s", window.span_s[0], window.span_s[1]);
         bars = bars.bar(Bar::new(span.clone(), window.share));
@@ -46,7 +47,10 @@ pub fn report(findings: &Findings) -> Report {
         ]);
     }
     report = report
-        .figure(&bars, "Windows that double in length from the release; shares of the energy above the noise.")
+        .figure(
+            &bars,
+            "Windows that double in length from the release; shares of the energy above the noise.",
+        )
         .table(windows)
         .section("Held-out gap")
         .paragraph(format!("{}.", capital(&findings.split.how)))
@@ -64,10 +68,13 @@ pub fn report(findings: &Findings) -> Report {
     for note in &diagnosis.notes {
         report = report.paragraph(note);
     }
-    report.section("Roots of det(\u{3bb}\u{b2}M + \u{3bb}C + K) = 0").table(roots(findings)).details(
-        "rig.toml",
-        findings.found.model.rig.to_toml().lines().map(str::to_owned).collect::<Vec<_>>(),
-    )
+    report
+        .section("Roots of det(\u{3bb}\u{b2}M + \u{3bb}C + K) = 0")
+        .table(roots(findings))
+        .details(
+            "rig.toml",
+            findings.found.model.rig.to_toml().lines().map(str::to_owned).collect::<Vec<_>>(),
+        )
 }
 
 fn capital(text: &str) -> String {
@@ -128,8 +135,11 @@ fn residual_plot(findings: &Findings, data: &Return) -> LinePlot {
         .log_x()
         .band(-2.0 * noise, 2.0 * noise)
         .series(
-            Series::line(format!("{}, as given", given_name(findings.nominal)), left(findings.nominal))
-                .color(1),
+            Series::line(
+                format!("{}, as given", given_name(findings.nominal)),
+                left(findings.nominal),
+            )
+            .color(1),
         );
     if let Some(refitted) = &findings.refitted {
         plot = plot.series(
@@ -148,7 +158,8 @@ fn residual_plot(findings: &Findings, data: &Return) -> LinePlot {
 
 fn tried(findings: &Findings) -> Table {
     let diagnosis = &findings.diagnosis;
-    let mut table = Table::new(["model", "free parameters", "gap on held-out samples", "over noise"]);
+    let mut table =
+        Table::new(["model", "free parameters", "gap on held-out samples", "over noise"]);
     let floor = diagnosis.gap.floor_nm;
     let mut row = |name: String, parameters: usize, nm: f64| {
         let old = std::mem::replace(&mut table, Table::new([""]));
@@ -156,7 +167,7 @@ fn tried(findings: &Findings) -> Table {
             name,
             parameters.to_string(),
             format!("{} um", digits(nm / 1e3, 4)),
-            format!("{}", digits(nm / floor, 4)),
+            digits(nm / floor, 4),
         ]);
     };
     row("rig as given".to_owned(), 0, diagnosis.gap.before_nm);

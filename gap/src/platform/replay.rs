@@ -21,9 +21,10 @@ pub fn replay(
             message: format!("a platform has one axis, found columns of {} axes", recording.axes()),
         });
     }
-    let position = free_return(rig, initial_m, &time_s, recording.meta.start_s).map_err(|error| {
-        PlatformDataError { file: file.display().to_string(), message: error.to_string() }
-    })?;
+    let position =
+        free_return(rig, initial_m, &time_s, recording.meta.start_s).map_err(|error| {
+            PlatformDataError { file: file.display().to_string(), message: error.to_string() }
+        })?;
     let mut predicted = recording.clone();
     predicted.position_um = vec![Some(position.iter().map(|m| (m * 1e6) as f32).collect())];
     Ok(predicted)

@@ -85,7 +85,7 @@ impl Question<'_> {
         if !effect.applies(&from.model.rig) {
             return None;
         }
-        let (model, starts) = effect.add(from);
+        let (model, starts) = effect.extend(from);
         let found = fit(self.data, &model, &self.split.fit, &starts)?;
         if !matches!(effect, Effect::SecondMass | Effect::ThirdMass) {
             return Some(found);
@@ -121,14 +121,13 @@ impl Question<'_> {
     /// Whether the gap on held-out samples shrinks from one rig to another, surely (bootstrap over blocks).
     fn shrinks(&self, from: &PlatformRig, to: &PlatformRig) -> bool {
         let part = &self.split.held_out;
-        let (Ok(from), Ok(to)) = (self.data.residuals_m(from, part), self.data.residuals_m(to, part))
+        let (Ok(from), Ok(to)) =
+            (self.data.residuals_m(from, part), self.data.residuals_m(to, part))
         else {
             return false;
         };
-        let gains: Vec<f64> = blocks(&from)
-            .zip(blocks(&to))
-            .map(|(a, b)| energy(a) - energy(b))
-            .collect();
+        let gains: Vec<f64> =
+            blocks(&from).zip(blocks(&to)).map(|(a, b)| energy(a) - energy(b)).collect();
         let mut sums = resample(&gains, |sample| sample.iter().sum::<f64>());
         sums.sort_by(f64::total_cmp);
         sums.get(sums.len() / 40).is_some_and(|low| *low > 0.0)
@@ -163,7 +162,9 @@ pub fn select(question: Question, nominal: &PlatformRig) -> Option<Selection> {
                 })
                 .collect();
         }
-        let Some(least) = candidates.iter().map(|(_, fit)| fit.bic()).reduce(f64::min) else { break };
+        let Some(least) = candidates.iter().map(|(_, fit)| fit.bic()).reduce(f64::min) else {
+            break;
+        };
         // Of those that do as well, the first of the catalogue.
         candidates.retain(|(_, fit)| fit.bic() < least + INDISTINGUISHABLE);
         let (effect, better) = candidates.swap_remove(0);
@@ -182,7 +183,8 @@ pub fn select(question: Question, nominal: &PlatformRig) -> Option<Selection> {
     let accepted = chain
         .iter()
         .map(|(effect, closes)| {
-            let (confidence, indistinguishable) = rivals(question, &start, &tried, &names, *effect, &fit);
+            let (confidence, indistinguishable) =
+                rivals(question, &start, &tried, &names, *effect, &fit);
             Accepted { effect: *effect, closes: *closes, confidence, indistinguishable }
         })
         .collect();

@@ -14,6 +14,7 @@ mod book;
 mod coupling;
 mod hysteresis;
 mod identification;
+mod platform;
 mod speed;
 mod stiffness_match;
 mod tracking;
@@ -36,6 +37,7 @@ const EXPERIMENTS: &[Experiment] = &[
     ("hysteresis, alone and in the mechanism (figure 4)", hysteresis::run),
     ("stiffness k_1 by matching", stiffness_match::run),
     ("tracking", tracking::run),
+    ("return of a compliant platform (second paper, figures 6 and 7)", platform::run),
     ("speed", speed::run),
 ];
 
