@@ -8,9 +8,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context;
-use host_sim::platform::{
-    PlatformRig, integrate, presets, rig::Sensor, statics, time_to_fraction_s,
-};
+use host_sim::platform::{PlatformRig, integrate, presets, statics, time_to_fraction_s};
 use rand::{SeedableRng, rngs::SmallRng};
 use rand_distr::{Distribution, Normal};
 use recording::{Entry, Meta, Recording, Session};
@@ -62,7 +60,7 @@ fn simulated(rig: &PlatformRig, deflection_m: f64, seed: u64) -> anyhow::Result<
     let times: Vec<f64> = (0..1600).map(|i| f64::from(i) / rig.sample_rate_hz).collect();
     let held = statics::held_positions_m(rig, deflection_m)?;
     let position = integrate::platform_m(rig, &held, &times)?;
-    let noise_um = rig.sensor.unwrap_or(Sensor::default()).noise_rms_m * 1.0e6;
+    let noise_um = rig.sensor.unwrap_or_default().noise_rms_m * 1.0e6;
     let noise = Normal::new(0.0, noise_um)?;
     let mut rng = SmallRng::seed_from_u64(seed);
     let mut meta = Meta::new("free return", rig.sample_rate_hz);
