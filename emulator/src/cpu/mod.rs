@@ -22,7 +22,7 @@ use unicorn_engine::{RegisterARM as R, Unicorn};
 use crate::periph::nvic::exception as number;
 use crate::periph::{Analog, ResetCause, Soc, flash};
 use crate::rtt::Rtt;
-use crate::time::{MILLISECOND, NEVER, Time};
+use crate::time::{MICROSECOND, MILLISECOND, NEVER, Time};
 use exception::{get, set};
 use image::{FLASH, Image, is_wide};
 use memory::Memory;
@@ -588,6 +588,27 @@ impl Machine {
         }
     }
 
+    /// Fault injection: sends the core, once it is in thread mode, to another address.
+    pub fn derail(&mut self, pc: u32) -> Result<()> {
+        for _ in 0..10_000 {
+            if self.soc().ipsr == 0 {
+                set(&mut self.uc, R::PC, pc | 1);
+                return Ok(());
+            }
+            self.run_for(10 * MICROSECOND)?;
+        }
+        bail!("the core never reached thread mode")
+    }
+
+    /// Fault injection: the core spins for ever with interrupts masked, as after a runaway pointer into a wait loop.
+    pub fn derail_into_loop(&mut self) -> Result<()> {
+        // `b .` in the last half-word of flash bank 1, which no image uses.
+        let last = FLASH_BYTES - 2;
+        self.flash.set_u16(last, 0xe7fe);
+        set(&mut self.uc, R::PRIMASK, 1);
+        self.derail(FLASH + last as u32)
+    }
+
     /// Where the core is.
     pub fn location(&self) -> String {
         self.place(get(&self.uc, R::PC) & !1)
@@ -615,7 +636,11 @@ impl Machine {
             .next_multiple_of(8);
         let (memory, base) = if top > SRAM { (&self.sram, SRAM) } else { (&self.ccm, CCM) };
         let room = top.checked_sub(end)? as usize;
-        let untouched = memory.run_of(PAINT, (end - base) as usize).min(room);
+        // Our paint, or the firmware's own where it paints its stack itself.
+        let from = (end - base) as usize;
+        let paint = memory.u32(from);
+        let words = (0..room / 4).take_while(|i| memory.u32(from + 4 * i) == paint).count();
+        let untouched = if words > 1 { 4 * words } else { 0 };
         Some((room - untouched, room))
     }
 }

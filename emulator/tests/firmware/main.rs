@@ -5,6 +5,10 @@
 
 mod boot;
 mod common;
+mod counts;
+mod faults;
+mod flash;
+mod hostile;
 mod identity;
 mod stream;
 mod usb;
