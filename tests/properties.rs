@@ -146,7 +146,7 @@ proptest! {
                     let drive = out.drive.to_f64();
                     let allowed = slews[axis].max(0.05) + 1e-5;
                     prop_assert!((drive - before[axis]).abs() <= allowed, "axis {axis}: {} -> {drive}", before[axis]);
-                    prop_assert!(drive <= 150.0 + 1e-6 && drive >= -10.0 - 1e-6);
+                    prop_assert!((-10.0 - 1e-6..=150.0 + 1e-6).contains(&drive));
                     prop_assert!(out.dac <= 4_095);
                     before[axis] = drive;
                 }
