@@ -303,12 +303,12 @@ fn slow_fit(channel: &Channel, part: &std::ops::Range<usize>, creep: f64) -> Slo
         previous = *x;
     }
     let right = DVector::from_column_slice(&volts);
-    let solution = non_negative(&matrix, &right, 1..=elements);
+    let solution = non_negative(&matrix, &right, |column| (1..=elements).contains(&column));
     let rms = |misfit: DVector<f64>| (misfit.norm_squared() / volts.len() as f64).sqrt();
     let misfit_v = rms(&matrix * &solution - &right);
 
     let line = DMatrix::from_fn(um.len(), 2, |n, j| if j == 0 { um[n] } else { 1.0 });
-    let fit = non_negative(&line, &right, 1..=0);
+    let fit = non_negative(&line, &right, |_| false);
     Slow {
         v_per_um: solution[0],
         elements: thresholds
@@ -346,7 +346,7 @@ fn without_creep(um: &[f64], creep: f64) -> Vec<f64> {
 fn non_negative(
     matrix: &DMatrix<f64>,
     right: &DVector<f64>,
-    bounded: std::ops::RangeInclusive<usize>,
+    bounded: impl Fn(usize) -> bool,
 ) -> DVector<f64> {
     let columns = matrix.ncols();
     let mut used: Vec<usize> = (0..columns).collect();
@@ -360,7 +360,7 @@ fn non_negative(
         let b = DVector::from_fn(n, |i, _| projected[used[i]]);
         let x = a.lu().solve(&b).unwrap_or_else(|| DVector::zeros(n));
         let worst = (0..n)
-            .filter(|i| bounded.contains(&used[*i]) && x[*i] < 0.0)
+            .filter(|i| bounded(used[*i]) && x[*i] < 0.0)
             .min_by(|i, j| x[*i].total_cmp(&x[*j]));
         match worst {
             Some(i) => {
