@@ -55,7 +55,7 @@ pub struct Findings<'a> {
     pub tried: &'a [(String, f64)],
 }
 
-fn bar(options: &Options) -> ProgressBar {
+pub(crate) fn bar(options: &Options) -> ProgressBar {
     if !options.progress {
         return ProgressBar::hidden();
     }
@@ -275,7 +275,7 @@ fn answer(
         let overall = whole.gap(axes).closed;
         // Causes on axes that stay mostly open are proxies of something that is not in the catalogue.
         let trusted: Vec<bool> =
-            by_axis.iter().map(|closed| closed.is_none_or(accept::names)).collect();
+            by_axis.iter().zip(gaps).map(|(closed, gap)| !gap.counts || closed.is_none_or(accept::names)).collect();
         let abstained: Vec<String> = trusted
             .iter()
             .enumerate()

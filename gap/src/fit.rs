@@ -35,13 +35,15 @@ pub struct Fit {
 pub struct Effort {
     /// Most iterations.
     pub iterations: usize,
-    /// Stop when the cost falls by less than this share.
+    /// Stop when the cost falls by less than this share of what it was.
     pub tolerance: f64,
+    /// Give up after two iterations that leave more than this cost.
+    pub hopeless: f64,
 }
 
 impl Default for Effort {
     fn default() -> Self {
-        Self { iterations: 8, tolerance: 1.0e-3 }
+        Self { iterations: 8, tolerance: 1.0e-3, hopeless: f64::INFINITY }
     }
 }
 
@@ -209,19 +211,25 @@ pub fn fit(
         start.iter().zip(&knobs).map(|(v, k)| v.clamp(k.min, k.max)).collect();
     let mut rig = rig_with(base, &knobs, &values)?;
     let mut stack = scene.residuals(&[(&rig, Wanted::ALL)], include)?.remove(0);
-    let mut best = cost(&stack);
+    let mut best = cost(&stack) + prior_cost(&knobs, &values);
     let mut lambda = 1.0e-3;
     let mut normal = DMatrix::zeros(knobs.len(), knobs.len());
-    for _ in 0..effort.iterations {
-        if knobs.is_empty() {
+    for iteration in 0..effort.iterations {
+        if knobs.is_empty() || (iteration >= 2 && best > effort.hopeless) {
             break;
         }
         let sensitivities = Sensitivities::at(scene, base, &knobs, &values, &stack, include)?;
-        let (matrix, gradient) = sensitivities.normal(scene, &stack);
+        let (mut matrix, mut gradient) = sensitivities.normal(scene, &stack);
+        for (k, knob) in knobs.iter().enumerate() {
+            if let Some(prior) = knob.prior {
+                matrix[(k, k)] += 1.0 / (prior.sd * prior.sd);
+                gradient[k] += (to_step(knob, values[k]) - to_step(knob, prior.centre)) / (prior.sd * prior.sd);
+            }
+        }
         normal = matrix.clone();
         let mut improved = false;
         let before = best;
-        for _ in 0..5 {
+        for _ in 0..4 {
             let Some(trial) = step(&knobs, &values, &matrix, &gradient, lambda) else { break };
             let candidate = rig_with(base, &knobs, &trial)?;
             let Ok(mut stacks) = scene.residuals(&[(&candidate, Wanted::ALL)], include) else {
@@ -229,7 +237,7 @@ pub fn fit(
                 continue;
             };
             let moved = stacks.remove(0);
-            let value = cost(&moved);
+            let value = cost(&moved) + prior_cost(&knobs, &trial);
             if value < best {
                 (values, rig, stack, best) = (trial, candidate, moved, value);
                 lambda = (lambda * 0.1).max(1.0e-9);
@@ -251,6 +259,15 @@ pub fn fit(
         })
         .collect();
     Ok(Fit { knobs, values, rig, cost: best, stack, normal, at_bound })
+}
+
+/// What the priors add to the cost.
+fn prior_cost(knobs: &[Knob], values: &[f64]) -> f64 {
+    knobs
+        .iter()
+        .zip(values)
+        .filter_map(|(k, &v)| k.prior.map(|p| ((to_step(k, v) - to_step(k, p.centre)) / p.sd).powi(2)))
+        .sum()
 }
 
 /// One damped step, knobs at a bound that want to leave it frozen.

@@ -24,7 +24,7 @@ pub struct Noise {
     pub sigma: f64,
     /// From stretches of constant drive.
     pub quiet: Option<f64>,
-    /// From fourth differences: the lowest tenth of the recordings.
+    /// From fourth differences: the lower quartile of the recordings.
     pub high_pass: Option<f64>,
     /// From successive periods.
     pub periodic: Option<f64>,
@@ -61,10 +61,10 @@ pub fn high_pass_sd(series: &[f32], present: &[bool]) -> Option<f64> {
     (values.len() >= 200).then(|| spread(&mut values) / 70.0_f64.sqrt())
 }
 
-/// Standard deviation without the few large values: those within four robust deviations count. The median alone would be
+/// Standard deviation without the few large values: those within five robust deviations count. The median alone would be
 /// too coarse for samples that are rounded to an eighth of their noise.
 fn spread(values: &mut [f64]) -> f64 {
-    let mut limit = 4.0 * robust_sd(values);
+    let mut limit = 5.0 * robust_sd(values);
     let mean_square = |limit: f64, values: &[f64]| {
         let (mut sum, mut n) = (0.0, 0_usize);
         for &v in values.iter().filter(|v| v.abs() <= limit) {
@@ -80,7 +80,8 @@ fn spread(values: &mut [f64]) -> f64 {
     mean_square(limit, values)
 }
 
-fn quiet_sd(track: &Track, series: &[f32]) -> Option<f64> {
+/// First differences over the square root of two where no drive has moved for a while.
+fn quiet_differences(track: &Track, series: &[f32]) -> Vec<f64> {
     let need = (QUIET_S * track.rate_hz).ceil().max(20.0) as usize;
     let mut differences = Vec::new();
     let mut still = 0_usize;
@@ -88,11 +89,10 @@ fn quiet_sd(track: &Track, series: &[f32]) -> Option<f64> {
         let moved = track.drive_v.iter().any(|d| d[i] != d[i - 1]);
         still = if moved { 0 } else { still + 1 };
         if still > need && track.present[i] && track.present[i - 1] {
-            differences
-                .push((f64::from(series[i]) - f64::from(series[i - 1])) / std::f64::consts::SQRT_2);
+            differences.push((f64::from(series[i]) - f64::from(series[i - 1])) / std::f64::consts::SQRT_2);
         }
     }
-    (differences.len() >= 200).then(|| spread(&mut differences))
+    differences
 }
 
 /// Difference between the last two periods, halved in energy: what does not repeat.
@@ -127,7 +127,7 @@ pub fn noise(tracks: &[Track], axis: usize, kind: Kind, stated: f64) -> Option<N
     for track in tracks {
         let Some(series) = column(track, axis, kind) else { continue };
         any = true;
-        quiet.extend(quiet_sd(track, series));
+        quiet.extend(quiet_differences(track, series));
         high.extend(high_pass_sd(series, &track.present));
         if let Some(difference) = unrepeated(track, series) {
             let mut d: Vec<f64> = difference.iter().map(|&x| f64::from(x)).collect();
@@ -137,12 +137,14 @@ pub fn noise(tracks: &[Track], axis: usize, kind: Kind, stated: f64) -> Option<N
     if !any {
         return None;
     }
+    // The lower quartile: some recordings hold fast motion that no difference cancels.
     let low = |mut values: Vec<f64>| -> Option<f64> {
         values.retain(|v| v.is_finite());
         values.sort_by(f64::total_cmp);
-        values.get(values.len() / 10).copied()
+        values.get(values.len() / 4).copied()
     };
-    let (quiet, high_pass, periodic) = (low(quiet), low(high), low(periodic));
+    let quiet = (quiet.len() >= 500).then(|| spread(&mut quiet));
+    let (high_pass, periodic) = (low(high), low(periodic));
     let measured = [quiet, high_pass, periodic].into_iter().flatten().fold(f64::INFINITY, f64::min);
     let sigma = if measured.is_finite() && measured > 0.0 {
         measured

@@ -26,8 +26,12 @@ pub struct Ranges {
     pub lines_hz: Vec<f64>,
     /// Lines of the monitor residual.
     pub monitor_lines_hz: Vec<f64>,
-    /// Frequency where the residual of fast recordings peaks, Hz.
+    /// Frequency where the rig answers most beyond its model, Hz.
     pub resonance_hz: Option<f64>,
+    /// Stiffness of stack and mechanism together, N/m (first axis).
+    pub stiffness_n_per_m: f64,
+    /// Moving mass of the nominal rig, kg (first axis).
+    pub mass_kg: f64,
     /// Largest sample rate, Hz.
     pub rate_hz: f64,
     /// Length of the longest recording, s.
@@ -78,6 +82,8 @@ pub fn ranges(scene: &Scene, rig: &Rig, raw: &Stack) -> Result<Ranges, Error> {
         lines_hz: lines(scene, raw, Kind::Position),
         monitor_lines_hz: lines(scene, raw, Kind::Monitor),
         resonance_hz: resonance(scene, raw),
+        stiffness_n_per_m: rig.axes[0].piezo.stiffness_n_per_m + rig.axes[0].mechanism.stiffness_n_per_m,
+        mass_kg: rig.axes[0].piezo.mass_kg + rig.axes[0].mechanism.mass_kg,
         rate_hz,
         longest_s: longest,
     })
@@ -196,28 +202,32 @@ fn coherent(scene: &Scene, raw: &Stack, kind: Kind, hz: f64) -> f64 {
         .map_or(hz, |(hz, _)| hz)
 }
 
-/// Where fast residuals peak: smoothed over a twelfth of an octave, above 20 Hz.
+/// Where the rig answers most beyond its model: peak of the ratio of measured to simulated power, in twenty-fourths of an octave above
+/// 60 Hz, where the simulation moves by more than the noise.
 fn resonance(scene: &Scene, raw: &Stack) -> Option<f64> {
     let mut bins: std::collections::BTreeMap<i64, (f64, f64)> = std::collections::BTreeMap::new();
     for (c, channel) in scene.channels.iter().enumerate() {
-        let Some(row) =
-            raw[c].as_ref().filter(|r| channel.kind == Kind::Position && r.len() >= 512)
-        else {
-            continue;
-        };
-        let (step, power) = spectrum(row, scene.tracks[channel.track].rate_hz);
-        for (k, &p) in power.iter().enumerate().skip(1) {
+        let Some(row) = raw[c].as_ref().filter(|r| channel.kind == Kind::Position && r.len() >= 512) else { continue };
+        let track = &scene.tracks[channel.track];
+        let Some(position) = &track.position_um[channel.axis] else { continue };
+        let measured: Vec<f32> = channel.range.clone().map(|i| position[i] / channel.sigma as f32).collect();
+        let simulated: Vec<f32> = measured.iter().zip(row).map(|(m, r)| m - r).collect();
+        let (step, power) = spectrum(&measured, track.rate_hz);
+        let (_, model) = spectrum(&simulated, track.rate_hz);
+        let noise = 2.0 / track.rate_hz;
+        for (k, (&p, &m)) in power.iter().zip(&model).enumerate().skip(1) {
             let hz = k as f64 * step;
-            if hz > 20.0 {
-                let cell = bins.entry((hz.log2() * 12.0).round() as i64).or_insert((0.0, 0.0));
-                cell.0 += p;
+            if hz > 60.0 && m > 3.0 * noise {
+                let cell = bins.entry((hz.log2() * 24.0).round() as i64).or_insert((0.0, 0.0));
+                cell.0 += (p / m).min(1.0e4).ln();
                 cell.1 += 1.0;
             }
         }
     }
     bins.into_iter()
-        .filter(|(_, (_, n))| *n > 0.0)
-        .map(|(bin, (power, n))| (2.0_f64.powf(bin as f64 / 12.0), power / n))
+        .filter(|(_, (_, n))| *n >= 3.0)
+        .map(|(bin, (log_ratio, n))| (2.0_f64.powf(bin as f64 / 24.0), log_ratio / n))
+        .filter(|(_, log_ratio)| *log_ratio > 0.3)
         .max_by(|a, b| a.1.total_cmp(&b.1))
         .map(|(hz, _)| hz)
 }
@@ -275,6 +285,22 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
                     ("kink_m", near + share * span),
                 ]));
             }
+        }
+        "inertia" => {
+            // A mass is where its resonance is: try resonances over the band and at the peak that was seen.
+            let mut hz: Vec<f64> = (0..12).map(|k| 150.0 * 2.0_f64.powf(0.45 * f64::from(k))).collect();
+            if let Some(peak) = ranges.resonance_hz {
+                hz.extend([0.9, 0.95, 1.0, 1.05].map(|r| r * peak));
+            }
+            for f in hz.into_iter().filter(|f| *f < 0.6 * ranges.rate_hz) {
+                let omega = std::f64::consts::TAU * f;
+                let kg = ranges.stiffness_n_per_m / (omega * omega) - ranges.mass_kg;
+                if kg > 0.0 {
+                    let damping = 0.02 * (ranges.stiffness_n_per_m * kg).sqrt();
+                    wanted.push(with(&[("added_kg", kg), ("added_damping_n_s_per_m", damping)]));
+                }
+            }
+            wanted.push(with(&[("added_damping_n_s_per_m", typical("added_damping_n_s_per_m"))]));
         }
         "second-mass" => {
             let mass = typical("mass_kg");

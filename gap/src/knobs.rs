@@ -27,6 +27,17 @@ pub struct Knob {
     pub log: bool,
     /// Step of finite differences in the unit of the value, where the scale says too little.
     pub fixed_step: Option<f64>,
+    /// What was known before, for nominal values.
+    pub prior: Option<Prior>,
+}
+
+/// A normal prior in the knob's own steps (logarithm or multiples of its scale).
+#[derive(Debug, Clone, Copy)]
+pub struct Prior {
+    /// Expected value.
+    pub centre: f64,
+    /// Standard deviation, in steps.
+    pub sd: f64,
 }
 
 /// Where the number lives.
@@ -49,6 +60,8 @@ pub enum Target {
         write: fn(&mut Rig, usize, usize, f64),
         /// Element or column, for values that are arrays.
         element: usize,
+        /// Only the gauge of this axis sees it, whatever the sensor geometry.
+        own_gauge: bool,
         /// `false` when monitors cannot see it.
         monitors: bool,
         /// Name for people.

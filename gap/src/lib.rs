@@ -15,6 +15,7 @@ mod error;
 pub mod fit;
 pub mod floor;
 pub mod guess;
+pub mod identify;
 pub mod intake;
 pub mod knobs;
 pub mod locate;
@@ -29,6 +30,7 @@ pub mod split;
 pub use diagnose::{Outcome, diagnose};
 pub use diagnosis::Diagnosis;
 pub use error::Error;
+pub use identify::{Identified, identify};
 
 /// How to run a diagnosis or a calibration.
 #[derive(Debug, Clone, Default)]

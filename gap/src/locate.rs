@@ -115,6 +115,12 @@ pub fn electrical(scene: &Scene, base: &Stack) -> Vec<Option<bool>> {
     worst.into_iter().map(|w| w.map(|z| z > 10.0)).collect()
 }
 
+/// Take out the mean.
+fn centre(values: &mut [f64]) {
+    let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
+    values.iter_mut().for_each(|v| *v -= mean);
+}
+
 /// Root mean square of the raw residual (units of the noise) at rest and under drive, of one axis.
 fn rest_against_drive(scene: &Scene, raw: &Stack, axis: usize) -> (f64, f64) {
     let mut rest = (0.0, 0.0);
@@ -125,13 +131,21 @@ fn rest_against_drive(scene: &Scene, raw: &Stack, axis: usize) -> (f64, f64) {
             continue;
         }
         let track = &scene.tracks[channel.track];
-        let still = track.drive_v.iter().all(|d| {
-            let d = &d[channel.range.clone()];
-            d.iter().all(|&v| v == d[0])
-        });
-        // The mean of a resting file may be its memory; what moves in it is not.
-        let mean = row.iter().map(|&x| f64::from(x)).sum::<f64>() / row.len() as f64;
-        let energy: f64 = row.iter().map(|&x| (f64::from(x) - mean).powi(2)).sum();
+        let own = &track.drive_v[axis][channel.range.clone()];
+        let still = own.iter().all(|&v| v == own[0]);
+        // The mean of a resting file may be its memory, and what follows a neighbour's drive is coupling: neither is unrest.
+        let mut residual: Vec<f64> = row.iter().map(|&x| f64::from(x)).collect();
+        centre(&mut residual);
+        for (_, drive) in track.drive_v.iter().enumerate().filter(|(other, _)| *other != axis) {
+            let mut along = drive[channel.range.clone()].to_vec();
+            centre(&mut along);
+            let power: f64 = along.iter().map(|v| v * v).sum();
+            if power > 0.0 {
+                let share = along.iter().zip(&residual).map(|(a, r)| a * r).sum::<f64>() / power;
+                residual.iter_mut().zip(&along).for_each(|(r, a)| *r -= share * a);
+            }
+        }
+        let energy: f64 = residual.iter().map(|x| x * x).sum();
         let cell = if still { &mut rest } else { &mut driven };
         cell.0 += energy;
         cell.1 += row.len() as f64;

@@ -249,6 +249,13 @@ impl Screen {
                 *value = reach;
             }
         }
+        // Resonances move rather than grow: such a direction is taken as it was simulated or not at all.
+        if matches!(effect.info().name, "inertia" | "second-mass") {
+            let whole = -2.0 * along - energy;
+            if whole > 0.3 * (-amount * along * 2.0 - amount * amount * energy) {
+                return Some(Gain { place: direction.place, gain: whole, start: direction.values.clone() });
+            }
+        }
         let gain = -amount * along * 2.0 - amount * amount * energy;
         (gain > 0.0).then_some(Gain { place: direction.place, gain, start })
     }

@@ -19,7 +19,7 @@ const SHORTLIST: usize = 7;
 /// Models that the search for a further effect starts from.
 const BEAM: usize = 3;
 /// Partners that are fitted for each of them.
-const PARTNERS: usize = 4;
+const PARTNERS: usize = 3;
 /// Most effects in a model.
 const MOST_EFFECTS: usize = 3;
 /// A further effect must remove this share of what the model before it leaves.
@@ -202,7 +202,12 @@ impl<'a> Search<'a> {
             self.widen(size)?;
         }
         match best {
-            Some(model) => Ok(Some(self.prune(model)?)),
+            Some(model) => {
+                let pruned = self.prune(model)?;
+                let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(&pruned).into_iter().unzip();
+                let effort = Effort { iterations: 5, tolerance: 2.0e-4, ..Effort::default() };
+                Ok(Some(self.fit_model(terms, start.concat(), effort)?))
+            }
             None => Ok(None),
         }
     }
@@ -213,6 +218,8 @@ impl<'a> Search<'a> {
             self.tried.iter().filter(|m| m.terms.len() == size).cloned().collect();
         starts.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
         starts.truncate(BEAM);
+        let reach = starts.first().map_or(0.0, |b| b.fit.cost + 0.3 * self.gap);
+        starts.retain(|m| m.fit.cost <= reach);
         for start in starts {
             let f = &start.fit;
             let sensitivities = Sensitivities::at(
@@ -277,7 +284,60 @@ impl<'a> Search<'a> {
         let mut start: Vec<f64> = known.iter().flat_map(|(_, v)| v.iter().copied()).collect();
         terms.push(Term { effect, places: gains.iter().map(|g| g.place).collect() });
         start.extend(gains.iter().flat_map(|g| g.start.iter().copied()));
-        self.fit_model(terms, start, Effort::default())
+        let best = self.tried.first().map_or(f64::INFINITY, |m| m.fit.cost);
+        // With a good model at hand, one that is still far behind after two iterations is not worth more of them.
+        let hopeless = if known.is_empty() {
+            self.noise + (3.0 * (best - self.noise)).max(0.3 * self.gap)
+        } else {
+            best.max(self.noise + 0.02 * self.gap) + 0.05 * (best - self.noise).max(0.0)
+        };
+        let effort = Effort { iterations: 6, tolerance: 3.0e-3, hopeless };
+        let model = self.fit_model(terms, start, effort)?;
+        self.even_out(model, effort)
+    }
+
+    /// Axes may have run into different local minima: start all of them from the values of each other, and keep what is better.
+    fn even_out(&self, model: Model, effort: Effort) -> Result<Model, Error> {
+        if model.fit.cost > effort.hopeless {
+            return Ok(model);
+        }
+        let last = model.terms.len() - 1;
+        let term = &model.terms[last];
+        if term.places.len() < 2 || !term.places.iter().all(|p| matches!(p, Place::Axis(_))) {
+            return Ok(model);
+        }
+        let uneven = (0..term.effect.info().parameters.len()).any(|k| {
+            let values: Vec<f64> = (0..term.places.len()).map(|p| model.values(last, p)[k]).collect();
+            let (low, high) = values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
+            high - low > 0.25 * high.abs().max(low.abs())
+        });
+        if !uneven {
+            return Ok(model);
+        }
+        let left = |stack: &Stack, axis: usize| -> f64 {
+            let rows = stack.iter().zip(&self.scene.channels).filter(|(_, c)| c.axis == axis);
+            rows.filter_map(|(row, _)| row.as_ref()).map(|row| dot(row, row)).sum()
+        };
+        let axis_of = |p: &Place| match *p {
+            Place::Axis(a) => a,
+            Place::Pair { on, .. } => on,
+        };
+        // The axis that lost the largest share of its cost leads.
+        let gained: Vec<f64> = term
+            .places
+            .iter()
+            .map(|p| 1.0 - left(&model.fit.stack, axis_of(p)) / left(&self.base, axis_of(p)).max(1.0))
+            .collect();
+        let leader = (0..gained.len()).max_by(|&a, &b| gained[a].total_cmp(&gained[b])).unwrap_or(0);
+        let mut start = model.fit.values.clone();
+        let range = model.knob_range(last);
+        let width = range.len() / term.places.len();
+        let lead = model.values(last, leader).to_vec();
+        for p in 0..term.places.len() {
+            start[range.start + p * width..range.start + (p + 1) * width].copy_from_slice(&lead);
+        }
+        let other = self.fit_model(model.terms.clone(), start, Effort { iterations: 4, ..effort })?;
+        Ok(if other.fit.cost < model.fit.cost { other } else { model })
     }
 
     /// Fit given terms from given values.
@@ -339,7 +399,7 @@ impl<'a> Search<'a> {
             if !dropped || kept_terms.is_empty() {
                 return Ok(model);
             }
-            model = self.fit_model(kept_terms, start, Effort::default())?;
+            model = self.fit_model(kept_terms, start, Effort { iterations: 4, ..Effort::default() })?;
         }
     }
 

@@ -105,3 +105,18 @@ fn split_blocks(scene: &mut Scene) {
     }
     scene.channels = channels;
 }
+
+/// Hold out the last third of every recording: what a calibration is checked on.
+pub fn hold_out_last_third(scene: &mut Scene) {
+    let mut channels = Vec::new();
+    for channel in &scene.channels {
+        let track = &scene.tracks[channel.track];
+        let cut = channel.range.start + channel.range.len() * 2 / 3;
+        for (range, held_out) in [(channel.range.start..cut, false), (cut..channel.range.end, true)] {
+            let mut part = Channel::new(channel.track, track, channel.axis, channel.kind, channel.sigma, range);
+            part.held_out = held_out;
+            channels.push(part);
+        }
+    }
+    scene.channels = channels;
+}

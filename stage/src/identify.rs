@@ -1,8 +1,10 @@
 //! `flexstage identify`: refit the nominal parameters of a rig to a session.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use host_sim::AnyRig;
+use anyhow::bail;
+use host_sim::{AnyRig, Rig};
+use recording::Session;
 
 /// Options of `flexstage identify`.
 #[derive(clap::Args)]
@@ -26,6 +28,33 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         AnyRig::Platform(rig) => {
             crate::platform::identify(&rig, &args.session, args.sample_rate, &args.out)
         }
-        AnyRig::Stage(_) => anyhow::bail!("identify is not built yet for stages"),
+        AnyRig::Stage(rig) => stage(&rig, &args),
     }
+}
+
+fn stage(rig: &Rig, args: &Args) -> anyhow::Result<()> {
+    let session = Session::read(&args.session, args.sample_rate)?;
+    let Some(name) = args.out.file_name().and_then(|n| n.to_str()) else {
+        bail!("{}: expected a file name for the calibrated rig", args.out.display());
+    };
+    let options = gap::Options { progress: true, ..gap::Options::default() };
+    let found = gap::identify(rig, &session, &options)?;
+    let parent = args.out.parent().filter(|p| !p.as_os_str().is_empty());
+    crate::diagnose::write_all(
+        parent.unwrap_or(Path::new(".")),
+        &[(name, found.rig.to_toml())],
+    )?;
+    for line in &found.lines {
+        println!("{line}");
+    }
+    println!(
+        "last third of every recording, not fitted: {:.2} nm -> {:.2} nm; everything: {:.2} nm -> \
+         {:.2} nm; noise {:.2} nm",
+        found.held_out_before_nm,
+        found.held_out_after_nm,
+        found.before_nm,
+        found.after_nm,
+        found.floor_nm
+    );
+    Ok(())
 }
