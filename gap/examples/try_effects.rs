@@ -17,8 +17,16 @@ fn main() {
         let power = channel.band_power(nominal[c].as_ref().unwrap());
         channel.weigh(&power, TOLERANCE);
     }
-    for (a, n) in scene.position_noise.iter().enumerate() { println!("axis {} {:?}", a + 1, n); }
-    println!("held out {:?}", (0..scene.tracks.len()).filter(|t| scene.channels.iter().any(|c| c.track == *t && c.held_out)).map(|t| &scene.tracks[t].file).collect::<Vec<_>>());
+    for (a, n) in scene.position_noise.iter().enumerate() {
+        println!("axis {} {:?}", a + 1, n);
+    }
+    println!(
+        "held out {:?}",
+        (0..scene.tracks.len())
+            .filter(|t| scene.channels.iter().any(|c| c.track == *t && c.held_out))
+            .map(|t| &scene.tracks[t].file)
+            .collect::<Vec<_>>()
+    );
     let ranges = gap::guess::ranges(&scene, &rig, &raw).unwrap();
     println!("{ranges:?}");
     let fitted = |c: &Channel| !c.held_out;
@@ -33,14 +41,48 @@ fn main() {
         for (k, &e) in effects.iter().enumerate() {
             let g = if let Some(m) = &last {
                 let m: &gap::select::Model = m;
-                let s = gap::fit::Sensitivities::at(&scene, &rig, &m.fit.knobs, &m.fit.values, &m.fit.stack, &fitted).unwrap();
+                let s = gap::fit::Sensitivities::at(
+                    &scene,
+                    &rig,
+                    &m.fit.knobs,
+                    &m.fit.values,
+                    &m.fit.stack,
+                    &fitted,
+                )
+                .unwrap();
                 search.screen.test(&scene, &m.fit.stack, Some(&s))[k].clone()
-            } else { gains[k].clone() };
-            for x in &g { println!("   {} {:?} gain {:.0} start {:?}", e.info().name, x.place, x.gain, x.start); }
+            } else {
+                gains[k].clone()
+            };
+            for x in &g {
+                println!(
+                    "   {} {:?} gain {:.0} start {:?}",
+                    e.info().name,
+                    x.place,
+                    x.gain,
+                    x.start
+                );
+            }
             let model = search.fit_terms(&known, e, &g).unwrap();
-            println!("{} left {:.0} of {:.0} noise {:.0} explains {:.4} in {:.1?}", model.key().join("+"), model.fit.cost - search.noise, search.gap, search.noise, 1.0 - (model.fit.cost - search.noise) / search.gap, t0.elapsed());
+            println!(
+                "{} left {:.0} of {:.0} noise {:.0} explains {:.4} in {:.1?}",
+                model.key().join("+"),
+                model.fit.cost - search.noise,
+                search.gap,
+                search.noise,
+                1.0 - (model.fit.cost - search.noise) / search.gap,
+                t0.elapsed()
+            );
             for (knob, v) in model.fit.knobs.iter().zip(&model.fit.values) {
-                if let gap::knobs::Target::Effect { effect, place, index } = &knob.target { println!("      {} {:?} {} = {:.5e}", effect.info().name, place, effect.info().parameters[*index].name, v); }
+                if let gap::knobs::Target::Effect { effect, place, index } = &knob.target {
+                    println!(
+                        "      {} {:?} {} = {:.5e}",
+                        effect.info().name,
+                        place,
+                        effect.info().parameters[*index].name,
+                        v
+                    );
+                }
             }
             known = start_terms(&model);
             last = Some(model);

@@ -274,8 +274,11 @@ fn answer(
         let by_axis = accept::closed_by_axis(&whole, axes);
         let overall = whole.gap(axes).closed;
         // Causes on axes that stay mostly open are proxies of something that is not in the catalogue.
-        let trusted: Vec<bool> =
-            by_axis.iter().zip(gaps).map(|(closed, gap)| !gap.counts || closed.is_none_or(accept::names)).collect();
+        let trusted: Vec<bool> = by_axis
+            .iter()
+            .zip(gaps)
+            .map(|(closed, gap)| !gap.counts || closed.is_none_or(accept::names))
+            .collect();
         let abstained: Vec<String> = trusted
             .iter()
             .enumerate()
@@ -324,7 +327,11 @@ fn answer(
     let left = accept::gaps(scene, &white_after);
     let verdict =
         if any_gap { accept::verdict(gap.closed, causes.len(), &left) } else { Verdict::NoGap };
-    let location = locate::locations(scene, cuts, &raw_after, electrical, &causes, &claimed);
+    let location = if verdict == Verdict::NoGap {
+        Vec::new()
+    } else {
+        locate::locations(scene, cuts, &raw_after, electrical, &causes, &claimed)
+    };
     let recordings = (0..scene.tracks.len())
         .map(|track| {
             let every = Energies::new(scene, raw_before, &honest_after, &everything);

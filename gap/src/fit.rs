@@ -223,7 +223,8 @@ pub fn fit(
         for (k, knob) in knobs.iter().enumerate() {
             if let Some(prior) = knob.prior {
                 matrix[(k, k)] += 1.0 / (prior.sd * prior.sd);
-                gradient[k] += (to_step(knob, values[k]) - to_step(knob, prior.centre)) / (prior.sd * prior.sd);
+                gradient[k] += (to_step(knob, values[k]) - to_step(knob, prior.centre))
+                    / (prior.sd * prior.sd);
             }
         }
         normal = matrix.clone();
@@ -266,7 +267,9 @@ fn prior_cost(knobs: &[Knob], values: &[f64]) -> f64 {
     knobs
         .iter()
         .zip(values)
-        .filter_map(|(k, &v)| k.prior.map(|p| ((to_step(k, v) - to_step(k, p.centre)) / p.sd).powi(2)))
+        .filter_map(|(k, &v)| {
+            k.prior.map(|p| ((to_step(k, v) - to_step(k, p.centre)) / p.sd).powi(2))
+        })
         .sum()
 }
 

@@ -89,7 +89,8 @@ fn quiet_differences(track: &Track, series: &[f32]) -> Vec<f64> {
         let moved = track.drive_v.iter().any(|d| d[i] != d[i - 1]);
         still = if moved { 0 } else { still + 1 };
         if still > need && track.present[i] && track.present[i - 1] {
-            differences.push((f64::from(series[i]) - f64::from(series[i - 1])) / std::f64::consts::SQRT_2);
+            differences
+                .push((f64::from(series[i]) - f64::from(series[i - 1])) / std::f64::consts::SQRT_2);
         }
     }
     differences

@@ -82,7 +82,8 @@ pub fn ranges(scene: &Scene, rig: &Rig, raw: &Stack) -> Result<Ranges, Error> {
         lines_hz: lines(scene, raw, Kind::Position),
         monitor_lines_hz: lines(scene, raw, Kind::Monitor),
         resonance_hz: resonance(scene, raw),
-        stiffness_n_per_m: rig.axes[0].piezo.stiffness_n_per_m + rig.axes[0].mechanism.stiffness_n_per_m,
+        stiffness_n_per_m: rig.axes[0].piezo.stiffness_n_per_m
+            + rig.axes[0].mechanism.stiffness_n_per_m,
         mass_kg: rig.axes[0].piezo.mass_kg + rig.axes[0].mechanism.mass_kg,
         rate_hz,
         longest_s: longest,
@@ -207,10 +208,15 @@ fn coherent(scene: &Scene, raw: &Stack, kind: Kind, hz: f64) -> f64 {
 fn resonance(scene: &Scene, raw: &Stack) -> Option<f64> {
     let mut bins: std::collections::BTreeMap<i64, (f64, f64)> = std::collections::BTreeMap::new();
     for (c, channel) in scene.channels.iter().enumerate() {
-        let Some(row) = raw[c].as_ref().filter(|r| channel.kind == Kind::Position && r.len() >= 512) else { continue };
+        let Some(row) =
+            raw[c].as_ref().filter(|r| channel.kind == Kind::Position && r.len() >= 512)
+        else {
+            continue;
+        };
         let track = &scene.tracks[channel.track];
         let Some(position) = &track.position_um[channel.axis] else { continue };
-        let measured: Vec<f32> = channel.range.clone().map(|i| position[i] / channel.sigma as f32).collect();
+        let measured: Vec<f32> =
+            channel.range.clone().map(|i| position[i] / channel.sigma as f32).collect();
         let simulated: Vec<f32> = measured.iter().zip(row).map(|(m, r)| m - r).collect();
         let (step, power) = spectrum(&measured, track.rate_hz);
         let (_, model) = spectrum(&simulated, track.rate_hz);
@@ -288,7 +294,8 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
         }
         "inertia" => {
             // A mass is where its resonance is: try resonances over the band and at the peak that was seen.
-            let mut hz: Vec<f64> = (0..12).map(|k| 150.0 * 2.0_f64.powf(0.45 * f64::from(k))).collect();
+            let mut hz: Vec<f64> =
+                (0..12).map(|k| 150.0 * 2.0_f64.powf(0.45 * f64::from(k))).collect();
             if let Some(peak) = ranges.resonance_hz {
                 hz.extend([0.9, 0.95, 1.0, 1.05].map(|r| r * peak));
             }

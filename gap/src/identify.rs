@@ -147,22 +147,24 @@ fn nominal(
 fn knobs(scene: &Scene, rig: &Rig) -> (Vec<Knob>, Vec<f64>) {
     let mut knobs = Vec::new();
     let mut start = Vec::new();
-    let mut add = |target: Target, value: f64, min: f64, max: f64, scale: f64, log: bool, sd: f64| {
-        knobs.push(Knob {
-            target,
-            min,
-            max,
-            origin: if log { 0.0 } else { value },
-            scale,
-            log,
-            fixed_step: if log { None } else { Some(0.3 * scale) },
-            prior: Some(Prior { centre: value, sd }),
-        });
-        start.push(value);
-    };
+    let mut add =
+        |target: Target, value: f64, min: f64, max: f64, scale: f64, log: bool, sd: f64| {
+            knobs.push(Knob {
+                target,
+                min,
+                max,
+                origin: if log { 0.0 } else { value },
+                scale,
+                log,
+                fixed_step: if log { None } else { Some(0.3 * scale) },
+                prior: Some(Prior { centre: value, sd }),
+            });
+            start.push(value);
+        };
     for axis in 0..rig.axes.len() {
         let a = &rig.axes[axis];
-        let measured = scene.channels.iter().any(|c| c.axis == axis && c.kind == crate::floor::Kind::Position);
+        let measured =
+            scene.channels.iter().any(|c| c.axis == axis && c.kind == crate::floor::Kind::Position);
         if !measured {
             continue;
         }
@@ -176,23 +178,66 @@ fn knobs(scene: &Scene, rig: &Rig) -> (Vec<Knob>, Vec<f64>) {
                         }
                     };
                     let target = nominal(axis, column, write, false, true, "output_map", "m/m");
-                    add(target, gain, -100.0 * largest, 100.0 * largest, 0.02 * largest, false, 100.0);
+                    add(
+                        target,
+                        gain,
+                        -100.0 * largest,
+                        100.0 * largest,
+                        0.02 * largest,
+                        false,
+                        100.0,
+                    );
                 }
             }
             None => {
-                let write = |rig: &mut Rig, axis: usize, _: usize, v: f64| rig.axes[axis].piezo.transformer_n_per_v = v;
+                let write = |rig: &mut Rig, axis: usize, _: usize, v: f64| {
+                    rig.axes[axis].piezo.transformer_n_per_v = v
+                };
                 let t = a.piezo.transformer_n_per_v;
-                add(nominal(axis, 0, write, false, false, "piezo.transformer_n_per_v", "N/V"), t, 0.2 * t, 5.0 * t, t, true, 0.3);
+                add(
+                    nominal(axis, 0, write, false, false, "piezo.transformer_n_per_v", "N/V"),
+                    t,
+                    0.2 * t,
+                    5.0 * t,
+                    t,
+                    true,
+                    0.3,
+                );
             }
         }
         let tau = a.amplifier.time_constant_s;
-        let write = |rig: &mut Rig, axis: usize, _: usize, v: f64| rig.axes[axis].amplifier.time_constant_s = v;
-        add(nominal(axis, 0, write, true, false, "amplifier.time_constant_s", "s"), tau, 0.05 * tau, 50.0 * tau, tau, true, 1.0);
-        let write = |rig: &mut Rig, axis: usize, _: usize, v: f64| rig.axes[axis].sensor.offset_m = v;
+        let write = |rig: &mut Rig, axis: usize, _: usize, v: f64| {
+            rig.axes[axis].amplifier.time_constant_s = v
+        };
+        add(
+            nominal(axis, 0, write, true, false, "amplifier.time_constant_s", "s"),
+            tau,
+            0.05 * tau,
+            50.0 * tau,
+            tau,
+            true,
+            1.0,
+        );
+        let write =
+            |rig: &mut Rig, axis: usize, _: usize, v: f64| rig.axes[axis].sensor.offset_m = v;
         let offset = a.sensor.offset_m;
-        add(nominal(axis, 0, write, false, true, "sensor.offset_m", "m"), offset, offset - 1.0e-3, offset + 1.0e-3, 1.0e-7, false, 1.0e3);
-        let slips: Vec<f64> =
-            a.piezo.hysteresis.capacitance_f.iter().zip(&a.piezo.hysteresis.limit_v).map(|(c, v)| c * v).collect();
+        add(
+            nominal(axis, 0, write, false, true, "sensor.offset_m", "m"),
+            offset,
+            offset - 1.0e-3,
+            offset + 1.0e-3,
+            1.0e-7,
+            false,
+            1.0e3,
+        );
+        let slips: Vec<f64> = a
+            .piezo
+            .hysteresis
+            .capacitance_f
+            .iter()
+            .zip(&a.piezo.hysteresis.limit_v)
+            .map(|(c, v)| c * v)
+            .collect();
         for element in 0..slips.len() {
             // The limit at a fixed slip charge: the slope follows.
             let write = |rig: &mut Rig, axis: usize, element: usize, v: f64| {
@@ -202,7 +247,15 @@ fn knobs(scene: &Scene, rig: &Rig) -> (Vec<Knob>, Vec<f64>) {
                 h.capacitance_f[element] = slip / v;
             };
             let limit = a.piezo.hysteresis.limit_v[element];
-            add(nominal(axis, element, write, false, false, "piezo.hysteresis.limit_v", "V"), limit, 1.0e-3 * limit, 1.0e3 * limit, limit, true, 3.0);
+            add(
+                nominal(axis, element, write, false, false, "piezo.hysteresis.limit_v", "V"),
+                limit,
+                1.0e-3 * limit,
+                1.0e3 * limit,
+                limit,
+                true,
+                3.0,
+            );
         }
     }
     (knobs, start)

@@ -90,6 +90,7 @@ impl Knob {
             scale,
             log: p.log,
             fixed_step: None,
+            prior: None,
         }
     }
 

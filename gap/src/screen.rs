@@ -229,31 +229,37 @@ impl Screen {
         let parameters = effect.info().parameters;
         let mut amount = -along / energy;
         let mut start = direction.values.clone();
+        if effect.info().threshold
+            || parameters.iter().any(|p| p.role == Role::Size && p.log && p.zero > 50.0 * p.typical)
+        {
+            // What acts beyond a threshold does not scale: it is taken as it was simulated, or a part of it at most.
+            amount = amount.clamp(0.0, 1.0);
+            let gain = -amount * along * 2.0 - amount * amount * energy;
+            return (gain > 0.0).then_some(Gain { place: direction.place, gain, start });
+        }
         for (value, p) in start.iter_mut().zip(parameters) {
             if p.role == Role::Size && *value != p.zero {
-                let reach = if p.log && p.zero > 0.0 && p.zero.is_finite() {
+                if p.log {
                     let whole = (*value / p.zero).ln();
                     let reached = (p.zero * (amount * whole).exp()).clamp(p.min, p.max);
                     amount = (reached / p.zero).ln() / whole;
-                    reached
-                } else if p.log {
-                    // A size without a zero to scale from is taken or left.
-                    amount = amount.clamp(0.0, 1.0);
-                    *value
+                    *value = reached;
                 } else {
-                    let wanted = p.zero + amount * (*value - p.zero);
-                    let reached = wanted.clamp(p.min, p.max);
+                    let reached = (p.zero + amount * (*value - p.zero)).clamp(p.min, p.max);
                     amount = (reached - p.zero) / (*value - p.zero);
-                    reached
-                };
-                *value = reach;
+                    *value = reached;
+                }
             }
         }
         // Resonances move rather than grow: such a direction is taken as it was simulated or not at all.
         if matches!(effect.info().name, "inertia" | "second-mass") {
             let whole = -2.0 * along - energy;
             if whole > 0.3 * (-amount * along * 2.0 - amount * amount * energy) {
-                return Some(Gain { place: direction.place, gain: whole, start: direction.values.clone() });
+                return Some(Gain {
+                    place: direction.place,
+                    gain: whole,
+                    start: direction.values.clone(),
+                });
             }
         }
         let gain = -amount * along * 2.0 - amount * amount * energy;

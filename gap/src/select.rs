@@ -26,6 +26,8 @@ const MOST_EFFECTS: usize = 3;
 const WORTH_OF_LEFTOVER: f64 = 0.35;
 /// ... and this share of the whole gap (whitened).
 const WORTH_OF_GAP: f64 = 0.01;
+/// ... or nearly all of what is left, if it is less than that.
+const NEARLY_ALL: f64 = 0.7;
 /// ... and this much cost in all, against noise.
 const WORTH_ABSOLUTE: f64 = 60.0;
 /// A place of an effect must be worth this much cost to stay.
@@ -188,15 +190,17 @@ impl<'a> Search<'a> {
             let worth = if size == 1 {
                 saved > WORTH_ABSOLUTE
             } else {
-                saved
-                    > WORTH_ABSOLUTE.max(WORTH_OF_LEFTOVER * leftover).max(WORTH_OF_GAP * self.gap)
+                let fair = saved > WORTH_OF_LEFTOVER * leftover && saved > WORTH_OF_GAP * self.gap;
+                // A small effect beside a large one: it must account for nearly all that the large one leaves.
+                let rest = saved > NEARLY_ALL * leftover && saved > 0.1 * WORTH_OF_GAP * self.gap;
+                saved > WORTH_ABSOLUTE && (fair || rest)
             };
             if !worth {
                 break;
             }
             let left = candidate.fit.cost - self.noise;
             best = Some(candidate);
-            if size == MOST_EFFECTS || left < WORTH_ABSOLUTE.max(0.5 * WORTH_OF_GAP * self.gap) {
+            if size == MOST_EFFECTS || left < WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap) {
                 break;
             }
             self.widen(size)?;
@@ -204,7 +208,8 @@ impl<'a> Search<'a> {
         match best {
             Some(model) => {
                 let pruned = self.prune(model)?;
-                let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(&pruned).into_iter().unzip();
+                let (terms, start): (Vec<Term>, Vec<Vec<f64>>) =
+                    start_terms(&pruned).into_iter().unzip();
                 let effort = Effort { iterations: 5, tolerance: 2.0e-4, ..Effort::default() };
                 Ok(Some(self.fit_model(terms, start.concat(), effort)?))
             }
@@ -307,8 +312,11 @@ impl<'a> Search<'a> {
             return Ok(model);
         }
         let uneven = (0..term.effect.info().parameters.len()).any(|k| {
-            let values: Vec<f64> = (0..term.places.len()).map(|p| model.values(last, p)[k]).collect();
-            let (low, high) = values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
+            let values: Vec<f64> =
+                (0..term.places.len()).map(|p| model.values(last, p)[k]).collect();
+            let (low, high) = values
+                .iter()
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
             high - low > 0.25 * high.abs().max(low.abs())
         });
         if !uneven {
@@ -326,9 +334,12 @@ impl<'a> Search<'a> {
         let gained: Vec<f64> = term
             .places
             .iter()
-            .map(|p| 1.0 - left(&model.fit.stack, axis_of(p)) / left(&self.base, axis_of(p)).max(1.0))
+            .map(|p| {
+                1.0 - left(&model.fit.stack, axis_of(p)) / left(&self.base, axis_of(p)).max(1.0)
+            })
             .collect();
-        let leader = (0..gained.len()).max_by(|&a, &b| gained[a].total_cmp(&gained[b])).unwrap_or(0);
+        let leader =
+            (0..gained.len()).max_by(|&a, &b| gained[a].total_cmp(&gained[b])).unwrap_or(0);
         let mut start = model.fit.values.clone();
         let range = model.knob_range(last);
         let width = range.len() / term.places.len();
@@ -336,7 +347,8 @@ impl<'a> Search<'a> {
         for p in 0..term.places.len() {
             start[range.start + p * width..range.start + (p + 1) * width].copy_from_slice(&lead);
         }
-        let other = self.fit_model(model.terms.clone(), start, Effort { iterations: 4, ..effort })?;
+        let other =
+            self.fit_model(model.terms.clone(), start, Effort { iterations: 4, ..effort })?;
         Ok(if other.fit.cost < model.fit.cost { other } else { model })
     }
 
@@ -384,7 +396,7 @@ impl<'a> Search<'a> {
                 let mut places = Vec::new();
                 for (p, &place) in term.places.iter().enumerate() {
                     let needed = worth[t][p] > WORTH_OF_PLACE.max(0.004 * top);
-                    let term_needed = total > WORTH_ABSOLUTE.max(0.5 * WORTH_OF_GAP * self.gap);
+                    let term_needed = total > WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap);
                     if needed && term_needed {
                         places.push(place);
                         start.extend_from_slice(model.values(t, p));
@@ -399,7 +411,8 @@ impl<'a> Search<'a> {
             if !dropped || kept_terms.is_empty() {
                 return Ok(model);
             }
-            model = self.fit_model(kept_terms, start, Effort { iterations: 4, ..Effort::default() })?;
+            model =
+                self.fit_model(kept_terms, start, Effort { iterations: 4, ..Effort::default() })?;
         }
     }
 

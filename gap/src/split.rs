@@ -112,8 +112,16 @@ pub fn hold_out_last_third(scene: &mut Scene) {
     for channel in &scene.channels {
         let track = &scene.tracks[channel.track];
         let cut = channel.range.start + channel.range.len() * 2 / 3;
-        for (range, held_out) in [(channel.range.start..cut, false), (cut..channel.range.end, true)] {
-            let mut part = Channel::new(channel.track, track, channel.axis, channel.kind, channel.sigma, range);
+        for (range, held_out) in [(channel.range.start..cut, false), (cut..channel.range.end, true)]
+        {
+            let mut part = Channel::new(
+                channel.track,
+                track,
+                channel.axis,
+                channel.kind,
+                channel.sigma,
+                range,
+            );
             part.held_out = held_out;
             channels.push(part);
         }
