@@ -209,13 +209,14 @@ pub fn fit(
 ) -> Result<Fit, Error> {
     let mut values: Vec<f64> =
         start.iter().zip(&knobs).map(|(v, k)| v.clamp(k.min, k.max)).collect();
-    let mut rig = rig_with(base, &knobs, &values)?;
+    let rig = rig_with(base, &knobs, &values)?;
     let mut stack = scene.residuals(&[(&rig, Wanted::ALL)], include)?.remove(0);
-    let mut best = cost(&stack) + prior_cost(&knobs, &values);
-    let mut lambda = 1.0e-3;
+    let (of_axis, of_knob, parts) = independent_parts(scene, base, &knobs);
+    let mut best = costs(scene, &stack, &knobs, &values, &of_axis, &of_knob, parts);
+    let mut lambda = vec![1.0e-3; parts];
     let mut normal = DMatrix::zeros(knobs.len(), knobs.len());
     for iteration in 0..effort.iterations {
-        if knobs.is_empty() || (iteration >= 2 && best > effort.hopeless) {
+        if knobs.is_empty() || (iteration >= 2 && best.iter().sum::<f64>() > effort.hopeless) {
             break;
         }
         let sensitivities = Sensitivities::at(scene, base, &knobs, &values, &stack, include)?;
@@ -223,34 +224,57 @@ pub fn fit(
         for (k, knob) in knobs.iter().enumerate() {
             if let Some(prior) = knob.prior {
                 matrix[(k, k)] += 1.0 / (prior.sd * prior.sd);
-                gradient[k] += (to_step(knob, values[k]) - to_step(knob, prior.centre))
-                    / (prior.sd * prior.sd);
+                gradient[k] += (to_step(knob, values[k]) - to_step(knob, prior.centre)) / (prior.sd * prior.sd);
             }
         }
         normal = matrix.clone();
-        let mut improved = false;
-        let before = best;
+        let start = values.clone();
+        let before: f64 = best.iter().sum();
+        let mut open: Vec<usize> = (0..parts).filter(|&p| of_knob.contains(&p)).collect();
         for _ in 0..4 {
-            let Some(trial) = step(&knobs, &values, &matrix, &gradient, lambda) else { break };
+            let damping: Vec<f64> = of_knob.iter().map(|&p| lambda[p]).collect();
+            let Some(wanted) = step(&knobs, &start, &matrix, &gradient, &damping) else { break };
+            // Parts that have already improved keep what they have.
+            let trial: Vec<f64> =
+                (0..knobs.len()).map(|k| if open.contains(&of_knob[k]) { wanted[k] } else { values[k] }).collect();
             let candidate = rig_with(base, &knobs, &trial)?;
             let Ok(mut stacks) = scene.residuals(&[(&candidate, Wanted::ALL)], include) else {
-                lambda *= 10.0;
+                lambda.iter_mut().for_each(|l| *l *= 10.0);
                 continue;
             };
             let moved = stacks.remove(0);
-            let value = cost(&moved) + prior_cost(&knobs, &trial);
-            if value < best {
-                (values, rig, stack, best) = (trial, candidate, moved, value);
-                lambda = (lambda * 0.1).max(1.0e-9);
-                improved = true;
+            let after = costs(scene, &moved, &knobs, &trial, &of_axis, &of_knob, parts);
+            let better: Vec<usize> = open.iter().copied().filter(|&p| after[p] < best[p]).collect();
+            for (c, row) in moved.into_iter().enumerate() {
+                if better.contains(&of_axis[scene.channels[c].axis]) {
+                    stack[c] = row;
+                }
+            }
+            for &p in &open {
+                if better.contains(&p) {
+                    best[p] = after[p];
+                    lambda[p] = (lambda[p] * 0.1).max(1.0e-9);
+                } else {
+                    lambda[p] = (lambda[p] * 8.0).max(1.0e-2);
+                }
+            }
+            for k in 0..knobs.len() {
+                if better.contains(&of_knob[k]) {
+                    values[k] = trial[k];
+                }
+            }
+            open.retain(|p| !better.contains(p));
+            if open.is_empty() {
                 break;
             }
-            lambda = (lambda * 8.0).max(1.0e-2);
         }
-        if !improved || before - best < effort.tolerance * before {
+        let now: f64 = best.iter().sum();
+        if before - now < effort.tolerance * before {
             break;
         }
     }
+    let rig = rig_with(base, &knobs, &values)?;
+    let best: f64 = best.iter().sum();
     let at_bound = knobs
         .iter()
         .zip(&values)
@@ -260,6 +284,50 @@ pub fn fit(
         })
         .collect();
     Ok(Fit { knobs, values, rig, cost: best, stack, normal, at_bound })
+}
+
+/// Axes that no knob ties together are parts of their own: each takes or refuses a step by itself.
+/// Returns the part of each axis and of each knob, and their number.
+fn independent_parts(scene: &Scene, rig: &Rig, knobs: &[Knob]) -> (Vec<usize>, Vec<usize>, usize) {
+    let axes = scene.position_noise.len();
+    let mut part: Vec<usize> = (0..axes).collect();
+    let masks: Vec<u32> = knobs.iter().map(|k| k.wanted(rig).axes).collect();
+    let coupled = knobs.iter().any(Knob::couples);
+    for &mask in &masks {
+        let seen: Vec<usize> = (0..axes).filter(|&a| coupled || mask >> a & 1 == 1).collect();
+        if let Some(&first) = seen.first() {
+            let joined: Vec<usize> = seen.iter().map(|&a| part[a]).collect();
+            let into = part[first];
+            for p in part.iter_mut().filter(|p| joined.contains(p)) {
+                *p = into;
+            }
+        }
+    }
+    let of_knob =
+        masks.iter().map(|mask| (0..axes).find(|a| mask >> a & 1 == 1).map_or(0, |axis| part[axis])).collect();
+    (part, of_knob, axes)
+}
+
+/// Cost of each part, priors included.
+fn costs(
+    scene: &Scene,
+    stack: &Stack,
+    knobs: &[Knob],
+    values: &[f64],
+    of_axis: &[usize],
+    of_knob: &[usize],
+    parts: usize,
+) -> Vec<f64> {
+    let mut sums = vec![0.0; parts];
+    for (row, channel) in stack.iter().zip(&scene.channels) {
+        if let Some(row) = row {
+            sums[of_axis[channel.axis]] += dot(row, row);
+        }
+    }
+    for (k, knob) in knobs.iter().enumerate() {
+        sums[of_knob[k]] += prior_cost(std::slice::from_ref(knob), &values[k..=k]);
+    }
+    sums
 }
 
 /// What the priors add to the cost.
@@ -279,7 +347,7 @@ fn step(
     values: &[f64],
     matrix: &DMatrix<f64>,
     gradient: &DVector<f64>,
-    lambda: f64,
+    lambda: &[f64],
 ) -> Option<Vec<f64>> {
     let free: Vec<usize> = (0..knobs.len())
         .filter(|&k| {
@@ -299,7 +367,7 @@ fn step(
         for (j, &b) in free.iter().enumerate() {
             damped[(i, j)] = matrix[(a, b)];
         }
-        damped[(i, i)] *= 1.0 + lambda;
+        damped[(i, i)] *= 1.0 + lambda[a];
         damped[(i, i)] += 1.0e-9;
     }
     let delta = damped.cholesky()?.solve(&rhs);

@@ -110,6 +110,11 @@ impl Knob {
         }
     }
 
+    /// Whether it ties the motion of axes together.
+    pub fn couples(&self) -> bool {
+        matches!(&self.target, Target::Effect { effect, .. } if effect.info().scope != Scope::Axis)
+    }
+
     /// Channels that see this knob directly.
     pub fn wanted(&self, rig: &Rig) -> Wanted {
         match &self.target {
