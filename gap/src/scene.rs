@@ -266,7 +266,8 @@ impl Scene {
                     .iter()
                     .filter(|c| c.track == track)
                     .map(|channel| {
-                        if channel.kind == Kind::Monitor {
+                        // A settling part brings the memory to a known state: that is what it is for.
+                        if channel.kind == Kind::Monitor || self.tracks[track].settled {
                             return Vec::new();
                         }
                         let base = self.residual(channel, &virgin);
