@@ -224,7 +224,8 @@ pub fn fit(
         for (k, knob) in knobs.iter().enumerate() {
             if let Some(prior) = knob.prior {
                 matrix[(k, k)] += 1.0 / (prior.sd * prior.sd);
-                gradient[k] += (to_step(knob, values[k]) - to_step(knob, prior.centre)) / (prior.sd * prior.sd);
+                gradient[k] += (to_step(knob, values[k]) - to_step(knob, prior.centre))
+                    / (prior.sd * prior.sd);
             }
         }
         normal = matrix.clone();
@@ -235,8 +236,9 @@ pub fn fit(
             let damping: Vec<f64> = of_knob.iter().map(|&p| lambda[p]).collect();
             let Some(wanted) = step(&knobs, &start, &matrix, &gradient, &damping) else { break };
             // Parts that have already improved keep what they have.
-            let trial: Vec<f64> =
-                (0..knobs.len()).map(|k| if open.contains(&of_knob[k]) { wanted[k] } else { values[k] }).collect();
+            let trial: Vec<f64> = (0..knobs.len())
+                .map(|k| if open.contains(&of_knob[k]) { wanted[k] } else { values[k] })
+                .collect();
             let candidate = rig_with(base, &knobs, &trial)?;
             let Ok(mut stacks) = scene.residuals(&[(&candidate, Wanted::ALL)], include) else {
                 lambda.iter_mut().for_each(|l| *l *= 10.0);
@@ -303,8 +305,10 @@ fn independent_parts(scene: &Scene, rig: &Rig, knobs: &[Knob]) -> (Vec<usize>, V
             }
         }
     }
-    let of_knob =
-        masks.iter().map(|mask| (0..axes).find(|a| mask >> a & 1 == 1).map_or(0, |axis| part[axis])).collect();
+    let of_knob = masks
+        .iter()
+        .map(|mask| (0..axes).find(|a| mask >> a & 1 == 1).map_or(0, |axis| part[axis]))
+        .collect();
     (part, of_knob, axes)
 }
 
@@ -354,7 +358,7 @@ fn step(
             let down = gradient[k] > 0.0;
             matrix[(k, k)] > 1.0e-12
                 && !(down && values[k] <= knobs[k].min)
-                && !(!down && values[k] >= knobs[k].max)
+                && (down || values[k] < knobs[k].max)
         })
         .collect();
     if free.is_empty() {

@@ -111,7 +111,7 @@ fn with_elements(scene: &Scene, rig: &Rig) -> Rig {
             .flat_map(|t| t.drive_v[axis].iter())
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
         let span_v = high - low;
-        if !(span_v > 0.0) {
+        if span_v.is_nan() || span_v <= 0.0 {
             continue;
         }
         let a = &rig.axes[axis];

@@ -51,6 +51,9 @@ pub struct Channel {
 /// Whitened residuals, one entry a channel; `None` where the simulation could not have changed it.
 pub type Stack = Vec<Option<Vec<f32>>>;
 
+/// Whitened rows of some channels.
+type Rows = Vec<(usize, Vec<f32>)>;
+
 /// A session and how it is compared.
 #[derive(Debug, Clone)]
 pub struct Scene {
@@ -167,7 +170,7 @@ impl Scene {
         let jobs: Vec<(usize, usize)> = (0..rigs.len())
             .flat_map(|rig| (0..self.tracks.len()).map(move |track| (rig, track)))
             .collect();
-        let done: Vec<(usize, Vec<(usize, Vec<f32>)>)> = jobs
+        let done: Vec<(usize, Rows)> = jobs
             .into_par_iter()
             .map(|(index, track)| {
                 let (rig, wanted) = rigs[index];

@@ -40,10 +40,7 @@ fn stage(rig: &Rig, args: &Args) -> anyhow::Result<()> {
     let options = gap::Options { progress: true, ..gap::Options::default() };
     let found = gap::identify(rig, &session, &options)?;
     let parent = args.out.parent().filter(|p| !p.as_os_str().is_empty());
-    crate::diagnose::write_all(
-        parent.unwrap_or(Path::new(".")),
-        &[(name, found.rig.to_toml())],
-    )?;
+    crate::diagnose::write_all(parent.unwrap_or(Path::new(".")), &[(name, found.rig.to_toml())])?;
     for line in &found.lines {
         println!("{line}");
     }
