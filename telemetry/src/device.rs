@@ -29,6 +29,8 @@ const COMMAND_TIMEOUT: Duration = Duration::from_secs(2);
 const POLL: Duration = Duration::from_millis(2);
 /// Silence after which a keep-alive feeds the board's command timeout.
 const KEEP_ALIVE: Duration = Duration::from_millis(100);
+/// The same on the sample clock: a virtual board may run faster than the wall clock.
+const KEEP_ALIVE_SAMPLES: u64 = 1000;
 
 /// Who the board is.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -146,6 +148,7 @@ impl Device {
             pending: Vec::new(),
             sequence: 1,
             last_sent: Instant::now(),
+            samples_at_last_sent: 0,
         };
         let thread = std::thread::Builder::new()
             .name("board link".into())
@@ -280,6 +283,7 @@ struct Pump {
     pending: Vec<Pending>,
     sequence: u16,
     last_sent: Instant,
+    samples_at_last_sent: u64,
 }
 
 impl Pump {
@@ -309,7 +313,8 @@ impl Pump {
                     Err(mpsc::TryRecvError::Empty) => break,
                 }
             }
-            if self.last_sent.elapsed() > KEEP_ALIVE {
+            let silent = self.decoder.statistics().samples - self.samples_at_last_sent;
+            if self.last_sent.elapsed() > KEEP_ALIVE || silent > KEEP_ALIVE_SAMPLES {
                 self.send(&Command::KeepAlive, None)?;
             }
             if let Some(transfer) = self.transport.receive(POLL)? {
@@ -335,6 +340,10 @@ impl Pump {
             }
         }
         self.last_sent = Instant::now();
+        self.samples_at_last_sent = self.decoder.statistics().samples;
+        if matches!(command, Command::StreamOn { .. }) {
+            self.decoder.expect_new_stream();
+        }
         self.pending.push(Pending {
             sequence: self.sequence,
             name: command_name(command),

@@ -63,6 +63,12 @@ impl History {
         self.sample_rate_hz
     }
 
+    /// Forget everything and go on at another rate.
+    pub fn set_rate(&mut self, sample_rate_hz: f64) {
+        self.forget();
+        self.sample_rate_hz = sample_rate_hz;
+    }
+
     /// Append a sample. Ticks before the newest one are ignored (the decoder has counted them).
     pub fn push(&mut self, sample: &Sample) {
         let origin = *self.origin.get_or_insert(sample.tick);

@@ -9,9 +9,12 @@ pub mod device;
 pub mod error;
 pub mod history;
 pub mod measure;
+pub mod probe;
 pub mod pyramid;
+pub mod recorder;
 pub mod sample;
 pub mod transport;
+pub mod tune;
 pub mod virtual_board;
 pub mod words;
 

@@ -2,6 +2,7 @@
 //!
 //! Everything here works on plain slices, so that a live window, a command and a file use the same code.
 
+pub mod campaign;
 pub mod frf;
 pub mod margins;
 pub mod psd;

@@ -1,0 +1,389 @@
+//! Drives the probe suite on a board and writes the session folder.
+//!
+//! Whatever ends it (the end, a person, a fault, a broken cable), the drives are sent back to the safe voltage at the guard's slow
+//! rate, the settings from before are put back, and every recording that was complete stays.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::Duration;
+
+use flexstage::link::message::{Command, Reply, TABLE_CHUNK};
+use flexstage::link::{Fields, Profile};
+use flexstage::{Flags, Settings, State};
+use recording::{Meta, Recording};
+use serde::Serialize;
+
+use super::plan::{CONDITION_S, Experiment, Waveform, check, open_loop, scale_um_per_v};
+use crate::device::{Batch, Device};
+use crate::recorder::to_recording;
+use crate::sample::Sample;
+use crate::words::fault_line;
+use crate::{Error, Result};
+
+/// Silence of the stream after which the board counts as stuck.
+const SILENCE: Duration = Duration::from_secs(3);
+/// Longest wait for arming, parking or coming to rest, in seconds on the sample clock: 150 V at 0.5 V/ms and arming.
+const REST_S: f64 = 10.0;
+
+/// Where the suite stands.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Progress {
+    /// Experiment that runs, from 0.
+    pub index: usize,
+    /// Experiments in all.
+    pub count: usize,
+    /// Its name.
+    pub name: String,
+    /// Time done, seconds on the sample clock.
+    pub done_s: f64,
+    /// Time in all.
+    pub total_s: f64,
+}
+
+/// What was written.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// The session folder.
+    pub folder: PathBuf,
+    /// Its recordings.
+    pub files: Vec<PathBuf>,
+    /// Ticks lost over all of them.
+    pub lost_ticks: u64,
+}
+
+/// Whether experiments drive volts or positions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// Waveforms are volts at the amplifier; the loop is open.
+    OpenLoop,
+    /// Waveforms are micrometres of reference, whatever the plan calls them; the board's settings stay as they are.
+    ClosedLoop,
+}
+
+/// Run a plan open loop and write a session folder. `axes` from 0 are the ones that may move.
+pub fn run(
+    device: &Device,
+    plan: &[Experiment],
+    axes: &[usize],
+    rig: &str,
+    folder: &Path,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(&Progress),
+) -> Result<Report> {
+    let file_error = |source| Error::File { path: folder.display().to_string(), source };
+    if folder.read_dir().is_ok_and(|mut entries| entries.next().is_some()) {
+        return Err(Error::Invalid(format!(
+            "{}: expected a new or empty folder for the session, found files in it",
+            folder.display()
+        )));
+    }
+    std::fs::create_dir_all(folder).map_err(file_error)?;
+    let mut report = Report { folder: folder.to_owned(), files: Vec::new(), lost_ticks: 0 };
+    capture(device, plan, axes, Mode::OpenLoop, stop, progress, &mut |index, mut recording| {
+        recording.meta.rig = rig.to_owned();
+        report.lost_ticks += recording.lost().iter().map(|lost| lost.ticks).sum::<u64>();
+        let path = folder.join(format!("{index:02}-{}.parquet", recording.meta.experiment));
+        recording.write(&path)?;
+        report.files.push(path);
+        Ok(())
+    })?;
+    Ok(report)
+}
+
+/// Run a plan and hand out each recording as it is complete.
+pub fn capture(
+    device: &Device,
+    plan: &[Experiment],
+    axes: &[usize],
+    mode: Mode,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(&Progress),
+    take: &mut dyn FnMut(usize, Recording) -> Result<()>,
+) -> Result<()> {
+    let Reply::Settings(before) = device.command(Command::ReadSettings)? else {
+        return Err(Error::Invalid("the board did not answer with its settings".into()));
+    };
+    if mode == Mode::OpenLoop {
+        check(plan, &before, axes)?;
+    }
+    let Reply::Status(status) = device.command(Command::Status)? else {
+        return Err(Error::Invalid("the board did not answer with its status".into()));
+    };
+    if Flags(status.flags).state() != State::Off {
+        return Err(Error::Invalid(format!(
+            "probing starts with the stage off, it is in state `{}`: stop it{} first",
+            Flags(status.flags).state().name(),
+            if Flags(status.flags).state() == State::Fault { " and clear its faults" } else { "" },
+        )));
+    }
+    let wanted = Fields::RECORDING;
+    if !status.stream.is_some_and(|(fields, _)| fields.contains(wanted)) {
+        let fields = wanted.with(Fields::CYCLES);
+        device.command(Command::StreamOn { fields, profile: Profile::Exact })?;
+    }
+    let settings = match mode {
+        Mode::OpenLoop => open_loop(&before),
+        Mode::ClosedLoop => before.clone(),
+    };
+    let mut runner = Runner {
+        device,
+        stream: device.subscribe(),
+        rate: device.info().sample_rate_hz,
+        axes,
+        mode,
+        settings,
+        stop,
+        last: None,
+        captured: None,
+        watching: true,
+        table: Vec::new(),
+    };
+    if mode == Mode::OpenLoop {
+        device.command(Command::SetSettings(runner.settings.clone()))?;
+    }
+    let result = runner.all(plan, progress, take);
+    let restored = runner.restore(&before);
+    result?;
+    restored
+}
+
+struct Runner<'a> {
+    device: &'a Device,
+    stream: Receiver<Batch>,
+    rate: f64,
+    axes: &'a [usize],
+    mode: Mode,
+    settings: Settings,
+    stop: &'a AtomicBool,
+    last: Option<Sample>,
+    captured: Option<Vec<Sample>>,
+    /// Whether a fault or a stop ends what is going on; not while cleaning up.
+    watching: bool,
+    table: Vec<f32>,
+}
+
+impl Runner<'_> {
+    fn all(
+        &mut self,
+        plan: &[Experiment],
+        progress: &mut dyn FnMut(&Progress),
+        take: &mut dyn FnMut(usize, Recording) -> Result<()>,
+    ) -> Result<()> {
+        let total_s: f64 = plan.iter().map(Experiment::total_s).sum();
+        let mut done_s = 0.0;
+        let mut origin = None;
+        for (index, experiment) in plan.iter().enumerate() {
+            let count = plan.len();
+            let name = experiment.name.clone();
+            progress(&Progress { index, count, name: name.clone(), done_s, total_s });
+            let (samples, settle_ticks) = self.experiment(experiment, &mut |seconds| {
+                let done_s = done_s + seconds;
+                progress(&Progress { index, count, name: name.clone(), done_s, total_s });
+            })?;
+            let first = samples.first().map_or(0, |s| s.tick);
+            let origin = *origin.get_or_insert(first);
+            let meta = Meta {
+                settle_s: settle_ticks as f64 / self.rate,
+                start_s: (first - origin) as f64 / self.rate,
+                period_s: experiment.period_s,
+                ..Meta::new(&experiment.name, self.rate)
+            };
+            take(index, to_recording(&samples, meta))?;
+            done_s += experiment.total_s();
+        }
+        progress(&Progress {
+            index: plan.len(),
+            count: plan.len(),
+            name: "done".into(),
+            done_s: total_s,
+            total_s,
+        });
+        Ok(())
+    }
+
+    /// One experiment from rest to rest; its samples and the length of the conditioning in ticks.
+    fn experiment(
+        &mut self,
+        experiment: &Experiment,
+        seconds: &mut dyn FnMut(f64),
+    ) -> Result<(Vec<Sample>, u64)> {
+        if let Some(points) = &experiment.table {
+            self.load_table(points)?;
+        }
+        self.arm()?;
+        let everywhere = |to_v: f64, duration_s: f64| -> Vec<(usize, Waveform)> {
+            self.axes.iter().map(|&axis| (axis, Waveform::Ramp { to_v, duration_s })).collect()
+        };
+        let (up, down) = (everywhere(experiment.condition_v, 0.2), everywhere(0.0, 0.2));
+        self.start(&down)?;
+        self.until("the stage to come to rest", REST_S, |s| state(s) == State::Hold)?;
+        self.captured = Some(Vec::new());
+        let first = self.now()? + 1;
+        let begin = if experiment.condition_v > 0.0 {
+            self.start(&up)?;
+            self.until_tick(first + self.ticks(CONDITION_S * 0.4), first, seconds)?;
+            self.start(&down)?;
+            self.until_tick(first + self.ticks(CONDITION_S), first, seconds)?;
+            self.now()? + 1
+        } else {
+            first
+        };
+        for phase in &experiment.phases {
+            self.until_tick(begin + self.ticks(phase.at_s), first, seconds)?;
+            self.start(&phase.moves)?;
+        }
+        let end = begin + self.ticks(experiment.duration_s);
+        self.until_tick(end, first, seconds)?;
+        let mut samples = self.captured.take().unwrap_or_default();
+        samples.retain(|s| (first..end).contains(&s.tick));
+        self.start(&down)?;
+        self.until("the stage to come to rest", REST_S, |s| state(s) == State::Hold)?;
+        Ok((samples, begin - first))
+    }
+
+    fn ticks(&self, seconds: f64) -> u64 {
+        (seconds * self.rate).round() as u64
+    }
+
+    /// Take what arrives next.
+    fn pump(&mut self) -> Result<()> {
+        if self.watching && self.stop.load(Ordering::Acquire) {
+            return Err(Error::Stopped("the stage is returning to its safe voltage".into()));
+        }
+        let batch = match self.stream.recv_timeout(SILENCE) {
+            Ok(batch) => batch,
+            Err(error) => {
+                let reason = match error {
+                    RecvTimeoutError::Timeout => {
+                        format!("no samples for {} s", SILENCE.as_secs())
+                    }
+                    RecvTimeoutError::Disconnected => {
+                        self.device.ended().unwrap_or_else(|| "the session ended".into())
+                    }
+                };
+                return Err(Error::Lost { board: self.device.info().name.clone(), reason });
+            }
+        };
+        if batch.restarted {
+            return Err(Error::Lost {
+                board: self.device.info().name.clone(),
+                reason: "it restarted".into(),
+            });
+        }
+        if let Some(captured) = &mut self.captured {
+            captured.extend_from_slice(&batch.samples);
+        }
+        if let Some(last) = batch.samples.last() {
+            self.last = Some(*last);
+            if self.watching && state(last) == State::Fault {
+                return Err(Error::Fault(fault_line(Flags(last.flags))));
+            }
+        }
+        Ok(())
+    }
+
+    /// Newest tick.
+    fn now(&mut self) -> Result<u64> {
+        while self.last.is_none() {
+            self.pump()?;
+        }
+        Ok(self.last.map_or(0, |s| s.tick))
+    }
+
+    fn until_tick(&mut self, tick: u64, first: u64, seconds: &mut dyn FnMut(f64)) -> Result<()> {
+        while self.now()? < tick {
+            self.pump()?;
+            seconds((self.now()?.saturating_sub(first)) as f64 / self.rate);
+        }
+        Ok(())
+    }
+
+    fn until(&mut self, what: &str, seconds: f64, done: impl Fn(&Sample) -> bool) -> Result<()> {
+        // At least one batch newer than the command before, which may not show in the last one yet.
+        let start = self.now()?;
+        let settle = self.ticks(0.02);
+        loop {
+            self.pump()?;
+            let now = self.now()?;
+            if now > start + settle && self.last.as_ref().is_some_and(&done) {
+                return Ok(());
+            }
+            if now > start + self.ticks(seconds) {
+                let state = self.last.map_or("?", |s| state(&s).name());
+                return Err(Error::Invalid(format!(
+                    "waited {seconds} s for {what}, the controller is in state `{state}`"
+                )));
+            }
+        }
+    }
+
+    fn start(&mut self, moves: &[(usize, Waveform)]) -> Result<()> {
+        let mut mask = 0;
+        for (axis, waveform) in moves {
+            let (scale, origin) = match self.mode {
+                Mode::OpenLoop => scale_um_per_v(&self.settings, *axis),
+                Mode::ClosedLoop => (1.0, 0.0),
+            };
+            let generator = waveform.generator(scale, origin);
+            self.device.command(Command::Stage { axis: *axis as u8, generator })?;
+            mask |= 1 << axis;
+        }
+        if mask != 0 {
+            self.device.command(Command::Start { axes: mask })?;
+        }
+        Ok(())
+    }
+
+    fn arm(&mut self) -> Result<()> {
+        self.now()?;
+        if self.last.is_some_and(|s| matches!(state(&s), State::Hold | State::Run)) {
+            return Ok(());
+        }
+        self.until("the drives to be parked", REST_S, |s| Flags(s.flags).is_parked())?;
+        self.device.command(Command::Arm)?;
+        self.until("arming to complete", REST_S, |s| state(s) == State::Hold)
+    }
+
+    fn disarm(&mut self) -> Result<()> {
+        self.device.command(Command::Disarm)?;
+        self.until("the drives to be parked", REST_S, |s| Flags(s.flags).is_parked())
+    }
+
+    /// Tables are exchanged while the loop is open.
+    fn load_table(&mut self, points: &[f32]) -> Result<()> {
+        if self.table == points {
+            return Ok(());
+        }
+        self.now()?;
+        if self.last.is_some_and(|s| state(&s).is_active()) {
+            self.disarm()?;
+        }
+        for (i, chunk) in points.chunks(TABLE_CHUNK).enumerate() {
+            let offset = (i * TABLE_CHUNK) as u16;
+            let points = chunk.iter().copied().collect();
+            self.device.command(Command::WriteTable { offset, points })?;
+        }
+        self.device.command(Command::UseTable { len: points.len() as u16 })?;
+        self.table = points.to_vec();
+        Ok(())
+    }
+
+    /// Park, and put the settings from before back.
+    fn restore(&mut self, before: &Settings) -> Result<()> {
+        self.watching = false;
+        self.captured = None;
+        if !self.device.is_connected() {
+            return Ok(());
+        }
+        self.disarm()?;
+        if self.mode == Mode::OpenLoop {
+            self.device.command(Command::SetSettings(before.clone()))?;
+        }
+        Ok(())
+    }
+}
+
+fn state(sample: &Sample) -> State {
+    Flags(sample.flags).state()
+}

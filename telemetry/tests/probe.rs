@@ -1,0 +1,101 @@
+//! The probe suite on the virtual board: a session folder that the other tools read, and a rig that is left as it was.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use flexstage::link::message::{Command, Reply};
+use flexstage::{Flags, Settings};
+use telemetry::probe::{self, Experiment, Length};
+use telemetry::virtual_board::{Options, Speed};
+use telemetry::{Device, Error, Target};
+
+fn open() -> Device {
+    Device::open(&Target::Virtual(Options { speed: Speed::Max, ..Options::default() })).unwrap()
+}
+
+fn quick() -> (probe::Options, Vec<Experiment>) {
+    let options = probe::Options { length: Length::Quick, axes: vec![1], ..Default::default() };
+    let plan = probe::plan(&options);
+    (options, plan)
+}
+
+fn settings(device: &Device) -> Settings {
+    let Reply::Settings(settings) = device.command(Command::ReadSettings).unwrap() else {
+        panic!()
+    };
+    settings
+}
+
+#[test]
+fn a_session_folder_comes_out_whole() {
+    let device = open();
+    let before = settings(&device);
+    let (options, plan) = quick();
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path().join("session");
+    let mut seen = Vec::new();
+    let report = probe::run(
+        &device,
+        &plan,
+        &options.axes,
+        "handley-2002",
+        &folder,
+        &AtomicBool::new(false),
+        &mut |p| seen.push(p.done_s),
+    )
+    .unwrap();
+    assert_eq!((report.files.len(), report.lost_ticks), (plan.len(), 0));
+    assert!(seen.windows(2).all(|w| w[1] >= w[0] - 0.5), "progress goes on");
+    let session = recording::Session::read(&folder, None).unwrap();
+    assert_eq!(session.recordings.len(), plan.len());
+    for (entry, experiment) in session.recordings.iter().zip(&plan) {
+        let r = &entry.recording;
+        let name = &experiment.name;
+        assert_eq!(&r.meta.experiment, name);
+        let expected = experiment.duration_s + r.meta.settle_s;
+        assert!((r.span_ticks() as f64 / 1e4 - expected).abs() < 1e-3, "{name}");
+        let high = r.drive_v[1].iter().copied().fold(f32::MIN, f32::max);
+        let (_, planned) = experiment.range_v();
+        assert!(
+            (f64::from(high) - planned).abs() < 0.02 * planned + 0.5,
+            "{name}: {high} {planned}"
+        );
+        // The other axes stay where they are.
+        assert!(r.drive_v[0].iter().all(|v| v.abs() < 2.0), "{name}");
+    }
+    assert_eq!(settings(&device), before, "settings are put back");
+    let Reply::Status(status) = device.command(Command::Status).unwrap() else { panic!() };
+    assert!(Flags(status.flags).is_parked());
+}
+
+#[test]
+fn a_stop_parks_and_keeps_what_was_complete() {
+    let device = open();
+    let before = settings(&device);
+    let (options, plan) = quick();
+    let folder = tempfile::tempdir().unwrap();
+    let stop = AtomicBool::new(false);
+    let error = probe::run(&device, &plan, &options.axes, "", folder.path(), &stop, &mut |p| {
+        if p.index == 2 {
+            stop.store(true, Ordering::Release);
+        }
+    })
+    .unwrap_err();
+    assert!(matches!(error, Error::Stopped(_)), "{error}");
+    let session = recording::Session::read(folder.path(), None).unwrap();
+    assert_eq!(session.recordings.len(), 2);
+    assert_eq!(settings(&device), before);
+    let Reply::Status(status) = device.command(Command::Status).unwrap() else { panic!() };
+    assert!(Flags(status.flags).is_parked());
+}
+
+#[test]
+fn a_folder_with_files_is_not_touched() {
+    let device = open();
+    let (options, plan) = quick();
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("mine.txt"), "x").unwrap();
+    let stop = AtomicBool::new(false);
+    let error = probe::run(&device, &plan, &options.axes, "", folder.path(), &stop, &mut |_| {})
+        .unwrap_err();
+    assert!(error.to_string().contains("empty folder"), "{error}");
+}
