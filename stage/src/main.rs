@@ -5,15 +5,26 @@
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
 mod bench;
 mod blind;
+mod board;
+mod config;
+mod devices;
 mod diagnose;
+mod flash;
 mod identify;
 mod import;
 mod platform;
+mod measure;
+mod probe;
+mod record;
 mod replay;
+mod status;
+mod tune;
+#[cfg(feature = "window")]
+mod view;
 
 /// Drive, watch and understand a piezo-driven flexure stage.
 #[derive(Parser)]
@@ -25,6 +36,25 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    /// See, drive, record and probe the stage in a window.
+    #[cfg(feature = "window")]
+    View(view::Args),
+    /// List the boards that are connected.
+    Devices(devices::Args),
+    /// Say how a board is doing.
+    Status(status::Args),
+    /// Record the telemetry to a Parquet file.
+    Record(record::Args),
+    /// Run the probe suite that tells the effects apart.
+    Probe(probe::Args),
+    /// Measure frequency response, loop margins, step response or noise.
+    Measure(measure::Args),
+    /// Propose gains and feedforward from a measurement.
+    Tune(tune::Args),
+    /// Read, change and save the settings of a board.
+    Config(config::Args),
+    /// Put firmware on a board.
+    Flash(flash::Args),
     /// Run the papers' experiments and the controller in simulation.
     Bench(bench::Args),
     /// Simulate a rig under a recorded drive.
@@ -37,10 +67,34 @@ enum Command {
     Blind(blind::Args),
     /// Turn public data files (npy, text columns, CSV) into recordings.
     Import(import::Args),
+    /// Print completions for a shell.
+    Completions {
+        /// Which shell.
+        shell: clap_complete::Shell,
+    },
 }
 
 fn main() -> ExitCode {
     let result = match Cli::parse().command {
+        #[cfg(feature = "window")]
+        Command::View(args) => view::run(args),
+        Command::Devices(args) => devices::run(args),
+        Command::Status(args) => status::run(args),
+        Command::Record(args) => record::run(args),
+        Command::Probe(args) => probe::run(args),
+        Command::Measure(args) => measure::run(args),
+        Command::Tune(args) => tune::run(args),
+        Command::Config(args) => config::run(args),
+        Command::Flash(args) => flash::run(args),
+        Command::Completions { shell } => {
+            clap_complete::generate(
+                shell,
+                &mut Cli::command(),
+                "flexstage",
+                &mut std::io::stdout(),
+            );
+            Ok(())
+        }
         Command::Bench(args) => bench::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Identify(args) => identify::run(args),

@@ -51,8 +51,9 @@ fn a_session_folder_comes_out_whole() {
         let r = &entry.recording;
         let name = &experiment.name;
         assert_eq!(&r.meta.experiment, name);
-        let expected = experiment.duration_s + r.meta.settle_s;
-        assert!((r.span_ticks() as f64 / 1e4 - expected).abs() < 1e-3, "{name}");
+        // At full speed the host is late by some simulated time: longer than planned, never shorter.
+        let seconds = r.span_ticks() as f64 / 1e4 - r.meta.settle_s;
+        assert!(seconds >= experiment.duration_s - 1e-3, "{name}: {seconds} s");
         let high = r.drive_v[1].iter().copied().fold(f32::MIN, f32::max);
         let (_, planned) = experiment.range_v();
         assert!(

@@ -219,21 +219,30 @@ impl Runner<'_> {
         self.start(&down)?;
         self.until("the stage to come to rest", REST_S, |s| state(s) == State::Hold)?;
         self.captured = Some(Vec::new());
-        let first = self.now()? + 1;
-        let begin = if experiment.condition_v > 0.0 {
-            self.start(&up)?;
-            self.until_tick(first + self.ticks(CONDITION_S * 0.4), first, seconds)?;
-            self.start(&down)?;
-            self.until_tick(first + self.ticks(CONDITION_S), first, seconds)?;
-            self.now()? + 1
-        } else {
-            first
-        };
-        for phase in &experiment.phases {
-            self.until_tick(begin + self.ticks(phase.at_s), first, seconds)?;
-            self.start(&phase.moves)?;
+        // Every wait counts from the tick at which the board says that the command before took effect: a host that is
+        // late makes an experiment longer, never cuts it short.
+        let mut first = None;
+        if experiment.condition_v > 0.0 {
+            let up_at = self.start(&up)?;
+            first = Some(up_at);
+            self.until_tick(up_at + self.ticks(CONDITION_S * 0.4), up_at, seconds)?;
+            let down_at = self.start(&down)?;
+            self.until_tick(down_at + self.ticks(CONDITION_S * 0.6), up_at, seconds)?;
         }
-        let end = begin + self.ticks(experiment.duration_s);
+        let mut begin = None;
+        let (mut last_at, mut last_s) = (self.now()? + 1, 0.0);
+        for phase in &experiment.phases {
+            if begin.is_some() {
+                let due = last_at + self.ticks(phase.at_s - last_s);
+                self.until_tick(due, first.unwrap_or(due), seconds)?;
+            }
+            last_at = self.start(&phase.moves)?;
+            last_s = phase.at_s;
+            begin = begin.or(Some(last_at));
+        }
+        let begin = begin.unwrap_or(last_at);
+        let first = first.unwrap_or(begin);
+        let end = last_at + self.ticks(experiment.duration_s - last_s);
         self.until_tick(end, first, seconds)?;
         let mut samples = self.captured.take().unwrap_or_default();
         samples.retain(|s| (first..end).contains(&s.tick));
@@ -318,7 +327,8 @@ impl Runner<'_> {
         }
     }
 
-    fn start(&mut self, moves: &[(usize, Waveform)]) -> Result<()> {
+    /// Start waveforms together; the tick at which they begin.
+    fn start(&mut self, moves: &[(usize, Waveform)]) -> Result<u64> {
         let mut mask = 0;
         for (axis, waveform) in moves {
             let (scale, origin) = match self.mode {
@@ -329,10 +339,17 @@ impl Runner<'_> {
             self.device.command(Command::Stage { axis: *axis as u8, generator })?;
             mask |= 1 << axis;
         }
-        if mask != 0 {
-            self.device.command(Command::Start { axes: mask })?;
+        let now = self.now()?;
+        if mask == 0 {
+            return Ok(now + 1);
         }
-        Ok(())
+        let Reply::Done { tick } = self.device.command(Command::Start { axes: mask })? else {
+            return Err(Error::Invalid("the board did not say when the waveform starts".into()));
+        };
+        // Acknowledgements carry the lower half of the tick; the stream is never half a wrap behind.
+        let late = (u64::from(tick)).wrapping_sub(now) & u64::from(u32::MAX);
+        let signed = late as u32 as i32;
+        Ok(now.saturating_add_signed(i64::from(signed)))
     }
 
     fn arm(&mut self) -> Result<()> {

@@ -1,0 +1,26 @@
+//! `flexstage devices`: boards on USB.
+
+use telemetry::transport::list_usb;
+
+/// Options of `flexstage devices`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Machine-readable output.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Run the command.
+pub fn run(args: Args) -> anyhow::Result<()> {
+    let boards = list_usb()?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&boards)?);
+    } else if boards.is_empty() {
+        println!("no board on USB; `--virtual` and `--connect ADDR` need none");
+    } else {
+        for b in boards {
+            println!("{}  {}  bus {} address {}", b.serial, b.product, b.bus, b.address);
+        }
+    }
+    Ok(())
+}

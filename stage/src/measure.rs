@@ -1,0 +1,288 @@
+//! `flexstage measure`: frequency response with margins, step response, noise floor; figures and a page of plots.
+
+use std::path::PathBuf;
+
+use flexstage::link::message::Command;
+use flexstage::link::{Fields, Profile};
+use report::plot::{Bode, LinePlot, Series};
+use report::{Report, Table};
+use serde_json::json;
+use telemetry::Device;
+use telemetry::measure::campaign::{
+    closed_loop_response, frequency_response, noise, step_response,
+};
+use telemetry::measure::{Frf, margins::Margins};
+
+use crate::board::{BoardArgs, axis_index, on_interrupt, seconds_bar};
+
+/// Options of `flexstage measure`.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    board: BoardArgs,
+    /// Machine-readable output.
+    #[arg(long, global = true)]
+    json: bool,
+    /// Page with the plots.
+    #[arg(long, global = true, value_name = "FILE.html")]
+    out: Option<PathBuf>,
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(clap::Subcommand)]
+enum What {
+    /// Drive to position by multisine, open loop; margins with the feedback on the board.
+    Response {
+        /// Axis, from 1.
+        #[arg(long, default_value_t = 1)]
+        axis: usize,
+        /// Voltage around which is measured.
+        #[arg(long, default_value_t = 45.0)]
+        bias_v: f64,
+        /// Peak of the multisine, V.
+        #[arg(long, default_value_t = 8.0)]
+        amplitude_v: f64,
+    },
+    /// Reference to position in closed loop with the settings on the board.
+    Closed {
+        /// Axis, from 1.
+        #[arg(long, default_value_t = 1)]
+        axis: usize,
+        /// Position around which is measured.
+        #[arg(long, default_value_t = 6.0)]
+        center_um: f64,
+        /// Peak of the multisine, um.
+        #[arg(long, default_value_t = 0.5)]
+        amplitude_um: f64,
+    },
+    /// Step of the reference in closed loop.
+    Step {
+        /// Axis, from 1.
+        #[arg(long, default_value_t = 1)]
+        axis: usize,
+        /// From, um.
+        #[arg(long, default_value_t = 5.0)]
+        from_um: f64,
+        /// To, um.
+        #[arg(long, default_value_t = 6.0)]
+        to_um: f64,
+    },
+    /// Position noise of all axes as the stage stands.
+    Noise {
+        /// Length, s.
+        #[arg(long, default_value_t = 5.0)]
+        seconds: f64,
+    },
+}
+
+/// Run the command.
+pub fn run(args: Args) -> anyhow::Result<()> {
+    let device = args.board.open()?;
+    let stop = on_interrupt()?;
+    let bar = seconds_bar(0.0);
+    let mut progress = |p: &telemetry::probe::Progress| {
+        bar.set_length((p.total_s * 10.0) as u64);
+        bar.set_position((p.done_s * 10.0) as u64);
+        bar.set_message(p.name.clone());
+    };
+    let (json, lines, page) = match args.what {
+        What::Response { axis, bias_v, amplitude_v } => {
+            let settings = crate::config::read(&device)?;
+            let index = axis_index(axis)?;
+            let r = frequency_response(
+                &device,
+                index,
+                (bias_v, amplitude_v),
+                &settings,
+                &stop,
+                &mut progress,
+            )?;
+            let title = format!("Frequency response of axis {axis}");
+            let mut lines = response_lines(&r.plant, "um/V");
+            lines.extend(margin_lines(&r.margins));
+            let page = Report::new(title)
+                .verdict(lines.join("; "))
+                .figure(
+                    &bode("Drive to position (dB of um/V)", &r.plant),
+                    "Measured around the bias, open loop.",
+                )
+                .figure(
+                    &bode("Loop gain", &r.loop_gain),
+                    "Measured plant times the feedback on the board.",
+                );
+            (json!({"axis": axis, "plant": frf_json(&r.plant), "margins": r.margins}), lines, page)
+        }
+        What::Closed { axis, center_um, amplitude_um } => {
+            let index = axis_index(axis)?;
+            let t = closed_loop_response(
+                &device,
+                index,
+                (center_um, amplitude_um),
+                &stop,
+                &mut progress,
+            )?;
+            let lines = response_lines(&t, "um/um");
+            let page = Report::new(format!("Closed loop of axis {axis}"))
+                .verdict(lines.join("; "))
+                .figure(&bode("Reference to position", &t), "With the settings on the board.");
+            (json!({"axis": axis, "closed_loop": frf_json(&t)}), lines, page)
+        }
+        What::Step { axis, from_um, to_um } => {
+            let index = axis_index(axis)?;
+            let (m, curve) = step_response(&device, index, (from_um, to_um), &stop, &mut progress)?;
+            let settle =
+                m.settling_s.map_or("not settled".into(), |s| format!("{:.2} ms", s * 1e3));
+            let lines = vec![
+                format!("rise 10-90 % {:.2} ms", m.rise_s * 1e3),
+                format!("delay to 10 % {:.2} ms", m.delay_s * 1e3),
+                format!("overshoot {:.1} %", m.overshoot_percent),
+                format!("settling to {:.0} nm: {settle}", m.band_nm),
+                format!("steady error {:.1} nm", m.steady_error_nm.unwrap_or(f64::NAN)),
+            ];
+            let near: Vec<&[f64; 3]> = curve.iter().filter(|p| p[0] < 0.1).collect();
+            let plot = LinePlot::new("Step response")
+                .x("time (ms)")
+                .y("position (um)")
+                .series(Series::dashed(
+                    "reference",
+                    near.iter().map(|p| (p[0] * 1e3, p[2])).collect(),
+                ))
+                .series(Series::line(
+                    "position",
+                    near.iter().map(|p| (p[0] * 1e3, p[1])).collect(),
+                ));
+            let page = Report::new(format!("Step response of axis {axis}"))
+                .verdict(lines.join("; "))
+                .figure(&plot, "Closed loop with the settings on the board.");
+            (json!({"axis": axis, "step": m}), lines, page)
+        }
+        What::Noise { seconds } => {
+            let positions = listen(&device, seconds)?;
+            let rate = device.info().sample_rate_hz;
+            let all: Vec<_> =
+                positions.iter().enumerate().map(|(axis, p)| noise(axis, p, rate)).collect();
+            let mut table = Table::new(["axis", "rms (nm)", "above 100 Hz (nm)", "lines"]);
+            let mut plot = LinePlot::new("Position noise")
+                .x("frequency (Hz)")
+                .y("nm/sqrt(Hz)")
+                .log_x()
+                .log_y();
+            let mut lines = Vec::new();
+            for n in &all {
+                let marks: Vec<String> =
+                    n.lines.iter().map(|(f, a)| format!("{f:.1} Hz {a:.2} nm")).collect();
+                table = table.row([
+                    n.axis.to_string(),
+                    format!("{:.2}", n.rms_nm),
+                    format!("{:.2}", n.above_100hz_nm),
+                    marks.join(", "),
+                ]);
+                lines.push(format!(
+                    "axis {}: {:.2} nm rms{}",
+                    n.axis,
+                    n.rms_nm,
+                    if marks.is_empty() {
+                        String::new()
+                    } else {
+                        format!(", lines {}", marks.join(", "))
+                    }
+                ));
+                let density = n.psd.density.iter().map(|d| d.sqrt() * 1e3);
+                let points = n.psd.frequency_hz.iter().copied().zip(density).collect();
+                plot = plot.series(Series::line(format!("axis {}", n.axis), points));
+            }
+            let page = Report::new("Noise floor")
+                .verdict(lines.join("; "))
+                .table(table)
+                .figure(&plot, "Welch, Hann windows.");
+            (json!({"noise": all}), lines, page)
+        }
+    };
+    bar.finish_and_clear();
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&json)?);
+    } else {
+        lines.iter().for_each(|line| println!("{line}"));
+    }
+    if let Some(path) = &args.out {
+        page.write(path)?;
+        if !args.json {
+            println!("{}", path.display());
+        }
+    }
+    Ok(())
+}
+
+/// Positions of all axes for some seconds, lost ticks as NaN.
+fn listen(device: &Device, seconds: f64) -> anyhow::Result<Vec<Vec<f32>>> {
+    device.command(Command::StreamOn { fields: Fields::RECORDING, profile: Profile::Exact })?;
+    let stream = device.subscribe();
+    let wanted = (seconds.clamp(0.1, 3600.0) * device.info().sample_rate_hz) as u64;
+    let mut out = vec![Vec::new(); telemetry::AXES];
+    let mut first = None;
+    loop {
+        let batch = stream.recv_timeout(std::time::Duration::from_secs(3)).map_err(|_| {
+            anyhow::anyhow!("{}", device.ended().unwrap_or_else(|| "the stream stopped".into()))
+        })?;
+        for sample in batch.samples.iter() {
+            let index = sample.tick - *first.get_or_insert(sample.tick);
+            if index >= wanted {
+                return Ok(out);
+            }
+            for (column, value) in out.iter_mut().zip(sample.position_um) {
+                column.resize(index as usize, f32::NAN);
+                column.push(value);
+            }
+        }
+    }
+}
+
+/// Bode plot of a response.
+pub fn bode(title: &str, frf: &Frf) -> Bode {
+    let frequency: Vec<f64> = frf.points.iter().map(|p| p.frequency_hz).collect();
+    let magnitude: Vec<f64> = frf.points.iter().map(|p| p.magnitude_db()).collect();
+    let coherence: Vec<f64> = frf.points.iter().map(|p| p.coherence).collect();
+    Bode::new(title)
+        .trace("measured", &frequency, &magnitude, &frf.phase_deg())
+        .coherence(&frequency, &coherence)
+}
+
+fn response_lines(frf: &Frf, unit: &str) -> Vec<String> {
+    let mut out = Vec::new();
+    if let Some(gain) = frf.static_gain() {
+        out.push(format!("static gain {gain:.4} {unit}"));
+    }
+    match frf.bandwidth_hz() {
+        Some(f) => out.push(format!("-3 dB at {f:.0} Hz")),
+        None => out.push("-3 dB outside the measured band".into()),
+    }
+    if let Some((f, _)) = frf.resonance() {
+        out.push(format!("resonance at {f:.0} Hz"));
+    }
+    out
+}
+
+/// Margins in words.
+pub fn margin_lines(m: &Margins) -> Vec<String> {
+    let or = |value: Option<f64>, unit: &str, at: Option<f64>| match (value, at) {
+        (Some(v), Some(f)) => format!("{v:.1} {unit} at {f:.0} Hz"),
+        _ => "not reached in the measured band".into(),
+    };
+    vec![
+        format!("phase margin {}", or(m.phase_margin_deg, "degrees", m.crossover_hz)),
+        format!("gain margin {}", or(m.gain_margin_db, "dB", m.phase_crossover_hz)),
+        m.modulus_margin.map_or(String::new(), |v| format!("modulus margin {v:.2}")),
+    ]
+}
+
+fn frf_json(frf: &Frf) -> serde_json::Value {
+    let phase = frf.phase_deg();
+    frf.points
+        .iter()
+        .zip(phase)
+        .map(|(p, phase_deg)| {
+            json!({"frequency_hz": p.frequency_hz, "magnitude_db": p.magnitude_db(), "phase_deg": phase_deg, "coherence": p.coherence})
+        })
+        .collect()
+}

@@ -1,0 +1,115 @@
+//! `flexstage probe`: the probe suite into a session folder, and on request straight into the diagnosis.
+
+use std::path::PathBuf;
+
+use serde_json::json;
+use telemetry::probe::{Experiment, Length, Options, plan};
+
+use crate::board::{BoardArgs, axis_index, on_interrupt, seconds_bar};
+
+/// Options of `flexstage probe`.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    board: BoardArgs,
+    /// Folder for the recordings; new or empty.
+    session: PathBuf,
+    /// How long the suite may take.
+    #[arg(long, value_enum, default_value_t = LengthArg::Standard)]
+    length: LengthArg,
+    /// Axes to probe, from 1.
+    #[arg(long, value_delimiter = ',', default_value = "1,2,3")]
+    axes: Vec<usize>,
+    /// Highest level, V.
+    #[arg(long, default_value_t = 90.0)]
+    max_v: f64,
+    /// Seed of phases and of the typical motion.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Name of the rig, stored with the recordings.
+    #[arg(long, default_value = "")]
+    rig: String,
+    /// Only say what would be driven.
+    #[arg(long)]
+    dry_run: bool,
+    /// Machine-readable output.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(clap::ValueEnum, Clone, Copy)]
+enum LengthArg {
+    Quick,
+    Standard,
+    Long,
+}
+
+/// Run the command.
+pub fn run(args: Args) -> anyhow::Result<()> {
+    let length = match args.length {
+        LengthArg::Quick => Length::Quick,
+        LengthArg::Standard => Length::Standard,
+        LengthArg::Long => Length::Long,
+    };
+    anyhow::ensure!(args.max_v > 0.0, "--max-v {}: expected more than 0 V", args.max_v);
+    let mut axes = args.axes.iter().map(|&a| axis_index(a)).collect::<anyhow::Result<Vec<_>>>()?;
+    axes.sort_unstable();
+    axes.dedup();
+    let options = Options { axes, max_v: args.max_v, length, seed: args.seed };
+    let experiments = plan(&options);
+    let total_s: f64 = experiments.iter().map(Experiment::total_s).sum();
+    if args.dry_run {
+        if args.json {
+            let list: Vec<_> = experiments
+                .iter()
+                .map(|e| {
+                    let (low, high) = e.range_v();
+                    json!({"name": e.name, "seconds": e.total_s(), "low_v": low, "high_v": high})
+                })
+                .collect();
+            println!("{}", serde_json::to_string_pretty(&list)?);
+        } else {
+            for e in &experiments {
+                let (low, high) = e.range_v();
+                println!("{:<28} {:6.1} s  {low:6.1} to {high:5.1} V", e.name, e.total_s());
+            }
+            println!("{} recordings, {total_s:.0} s", experiments.len());
+        }
+        return Ok(());
+    }
+    let device = args.board.open()?;
+    let stop = on_interrupt()?;
+    let bar = seconds_bar(total_s);
+    let report = telemetry::probe::run(
+        &device,
+        &experiments,
+        &options.axes,
+        &args.rig,
+        &args.session,
+        &stop,
+        &mut |p| {
+            bar.set_position((p.done_s * 10.0) as u64);
+            bar.set_message(format!(
+                "{}/{} {}, {:.0} s left",
+                (p.index + 1).min(p.count),
+                p.count,
+                p.name,
+                (p.total_s - p.done_s).max(0.0)
+            ));
+        },
+    );
+    bar.finish_and_clear();
+    let report = report?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&report)?);
+    } else {
+        println!(
+            "{}: {} recordings, {} ticks lost",
+            report.folder.display(),
+            report.files.len(),
+            report.lost_ticks
+        );
+        println!("next: flexstage diagnose --rig RIG.toml {} --out OUT", report.folder.display());
+    }
+    Ok(())
+}
