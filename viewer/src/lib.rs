@@ -17,6 +17,7 @@ pub use app::App;
 
 /// What the window shows.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "a window holds one, and it is not moved in a loop")]
 pub enum Source {
     /// A board, real, emulated or virtual; it is connected again whenever it comes back.
     Board(Target),

@@ -26,6 +26,7 @@ pub trait Transport: Send {
 
 /// Where a board is.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "a program holds one, and it is not moved in a loop")]
 pub enum Target {
     /// On USB, by serial number when more than one is connected.
     Usb {

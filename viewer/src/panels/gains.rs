@@ -19,6 +19,9 @@ pub enum Request {
     Save,
 }
 
+/// Name, value on the board, value in the file.
+type Difference = (String, String, String);
+
 /// The editor.
 #[derive(Default)]
 pub struct Gains {
@@ -27,7 +30,7 @@ pub struct Gains {
     undo: Vec<Settings>,
     axis: usize,
     file: String,
-    comparison: Option<Result<Vec<(String, String, String)>, String>>,
+    comparison: Option<Result<Vec<Difference>, String>>,
 }
 
 impl Gains {
