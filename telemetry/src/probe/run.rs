@@ -178,7 +178,8 @@ impl Runner<'_> {
             let name = experiment.name.clone();
             progress(&Progress { index, count, name: name.clone(), done_s, total_s });
             let (samples, settle_ticks) = self.experiment(experiment, &mut |seconds| {
-                let done_s = done_s + seconds;
+                // A late host makes an experiment longer than planned; progress never goes back.
+                let done_s = done_s + seconds.min(experiment.total_s());
                 progress(&Progress { index, count, name: name.clone(), done_s, total_s });
             })?;
             let first = samples.first().map_or(0, |s| s.tick);
