@@ -1,6 +1,6 @@
 //! The probe suite: experiments that tell one unmodelled effect from another (`notes/gap.md`, section 3, "Probe suite").
 //!
-//! [`plan`] says what is driven, in volts; [`run`] drives it on a board, open loop, and writes a session folder in the
+//! [`mod@plan`] says what is driven, in volts; [`mod@run`] drives it on a board, open loop, and writes a session folder in the
 //! contract's format that goes straight into `flexstage diagnose`.
 
 pub mod plan;
