@@ -1,12 +1,12 @@
 //! A rig file of either kind: a piezo stage (first paper) or a compliant platform (second paper).
 
-use std::{fs, path::Path};
+use std::path::Path;
 
 use serde::Deserialize;
 
 use crate::{
     platform::PlatformRig,
-    rig::{Rig, RigError},
+    rig::{Rig, RigError, read_text},
 };
 
 /// What a rig file describes; its key `kind` says which (`"stage"`, also when it is left out, or `"platform"`).
@@ -28,10 +28,7 @@ struct Kind {
 impl AnyRig {
     /// Read a rig file.
     pub fn load(path: &Path) -> Result<Self, RigError> {
-        let source = path.display().to_string();
-        let text =
-            fs::read_to_string(path).map_err(|error| RigError::new(&source, error.to_string()))?;
-        Self::parse(&text, &source)
+        Self::parse(&read_text(path)?, &path.display().to_string())
     }
 
     /// Read a rig from text; `source` is what an error calls it.

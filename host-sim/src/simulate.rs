@@ -190,25 +190,22 @@ fn run(rig: &Rig, input: &Input, wanted: Axes, samples: usize) -> Result<Output,
             run_group(&mut group, input, samples, &mut displacement_m, &mut output);
         }
     }
-    let mut readings = vec![0.0; n];
-    let plain = (0..n).all(|sensor| !wanted.contains(sensor) || sensors.is_plain(sensor));
-    for sensor in (0..n).filter(|&sensor| wanted.contains(sensor)) {
-        output.position_m[sensor] = if plain {
-            let mut readings = std::mem::take(&mut displacement_m[sensor]);
-            let offset = sensors.offset_m(sensor);
-            readings.iter_mut().for_each(|x| *x += offset);
-            readings
-        } else {
-            Vec::with_capacity(samples)
-        };
-    }
-    if !plain {
+    let wanted_sensors = || (0..n).filter(|&sensor| wanted.contains(sensor));
+    if wanted_sensors().all(|sensor| sensors.is_bare(sensor)) {
+        for sensor in wanted_sensors() {
+            output.position_m[sensor] = sensors.bare_readings(sensor, &mut displacement_m, samples);
+        }
+    } else {
+        let mut readings = vec![0.0; n];
+        for sensor in wanted_sensors() {
+            output.position_m[sensor].reserve_exact(samples);
+        }
         for sample in 0..samples {
             let time_s = input.start_s + sample as f64 * step_s;
             let displacement =
                 |axis: usize| displacement_m[axis].get(sample).copied().unwrap_or(0.0);
             sensors.read(displacement, time_s, |sensor| wanted.contains(sensor), &mut readings);
-            for sensor in (0..n).filter(|&sensor| wanted.contains(sensor)) {
+            for sensor in wanted_sensors() {
                 output.position_m[sensor].push(readings[sensor]);
             }
         }
@@ -238,18 +235,34 @@ fn run_group(
     let members = group.members.clone();
     let mut x: Vec<Vec<f64>> = members.iter().map(|_| Vec::with_capacity(samples)).collect();
     let mut v: Vec<Vec<f64>> = members.iter().map(|_| Vec::with_capacity(samples)).collect();
-    for sample in 0..samples {
-        for (slot, axis) in group.axes().iter().enumerate() {
-            x[slot].push(axis.position_m());
-            v[slot].push(axis.output_v());
-        }
-        if sample + 1 < samples {
-            let time_s = input.start_s + (sample + 1) as f64 * step_s;
-            group.advance(
-                |axis| input.drive_v[axis][sample],
-                |axis| monitor(axis, sample + 1),
-                time_s,
-            );
+    let time_s = |sample: usize| input.start_s + (sample + 1) as f64 * step_s;
+    if group.is_alone() {
+        let (x, v) = (&mut x[0], &mut v[0]);
+        x.push(group.axes()[0].position_m());
+        v.push(group.axes()[0].output_v());
+        group.follow(
+            samples - 1,
+            |sample, axis| input.drive_v[axis][sample],
+            |sample, axis| monitor(axis, sample + 1),
+            time_s,
+            |_, position_m, output_v| {
+                x.push(position_m);
+                v.push(output_v);
+            },
+        );
+    } else {
+        for sample in 0..samples {
+            for (slot, axis) in group.axes().iter().enumerate() {
+                x[slot].push(axis.position_m());
+                v[slot].push(axis.output_v());
+            }
+            if sample + 1 < samples {
+                group.advance(
+                    |axis| input.drive_v[axis][sample],
+                    |axis| monitor(axis, sample + 1),
+                    time_s(sample),
+                );
+            }
         }
     }
     for (slot, &member) in members.iter().enumerate() {

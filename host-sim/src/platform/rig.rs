@@ -16,7 +16,7 @@
 //! (`[effects.sensor-gain]`, `sensor-offset`, `sensor-drift`, `sensor-bandwidth`, `sensor-nonlinearity`).
 //! An unknown key is an error that names it. What is read is written back by [`PlatformRig::to_toml`].
 
-use std::{collections::BTreeMap, fs, path::Path};
+use std::{collections::BTreeMap, path::Path};
 
 use serde::{Deserialize, Serialize};
 
@@ -271,9 +271,9 @@ impl PlatformRig {
     /// Read a rig file.
     pub fn load(path: &Path) -> Result<Self, PlatformRigError> {
         let source = path.display().to_string();
-        match fs::read_to_string(path) {
+        match crate::rig::read_text(path) {
             Ok(text) => Self::parse(&text, &source),
-            Err(error) => Err(PlatformRigError { source_name: source, message: error.to_string() }),
+            Err(error) => Err(PlatformRigError { source_name: source, message: error.message }),
         }
     }
 

@@ -36,13 +36,27 @@ struct AxisDocument {
     effects: Table,
 }
 
+/// Text of a rig file of any kind.
+pub(crate) fn read_text(path: &Path) -> Result<String, RigError> {
+    use std::io::ErrorKind;
+    std::fs::read_to_string(path).map_err(|error| {
+        let what = match error.kind() {
+            ErrorKind::NotFound => "there is no such file".to_owned(),
+            ErrorKind::IsADirectory => "this is a folder".to_owned(),
+            ErrorKind::InvalidData => "this is not a text file".to_owned(),
+            _ => format!("cannot be read ({error})"),
+        };
+        RigError::new(
+            path.display().to_string(),
+            format!("{what}: expected a rig file in TOML; docs/rig.md describes it, host-sim/rigs holds examples"),
+        )
+    })
+}
+
 impl Rig {
     /// Read a rig file.
     pub fn load(path: &Path) -> Result<Rig, RigError> {
-        let source = path.display().to_string();
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| RigError::new(&source, format!("cannot be read: {error}")))?;
-        Rig::parse(&text, &source)
+        Rig::parse(&read_text(path)?, &path.display().to_string())
     }
 
     /// Read a rig from TOML; `source` names it in errors.

@@ -11,6 +11,7 @@ mod validate;
 
 use serde::{Deserialize, Serialize};
 
+pub(crate) use file::read_text;
 pub use settings::Setting;
 pub use validate::MAX_AXES;
 

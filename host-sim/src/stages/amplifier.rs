@@ -3,6 +3,7 @@
 
 use std::collections::VecDeque;
 
+use super::axis::Load;
 use super::model::{AmplifierModel, DriveModel, OutputBlock, SlewLimit};
 
 /// State and parameters of one amplifier.
@@ -96,9 +97,9 @@ impl AmplifierSim {
         v
     }
 
-    /// Hold a target to the next tick (at `time_s`): the output there. `load_f` is the capacitance the stack shows.
+    /// Hold a target to the next tick (at `time_s`): the output there. `load` is what the stack shows it.
     #[inline]
-    pub fn advance(&mut self, target_v: f64, load_f: f64, time_s: f64) -> f64 {
+    pub fn advance(&mut self, target_v: f64, load: Load, time_s: f64) -> f64 {
         if self.plain {
             let v = target_v + (self.state_v - target_v) * self.late.decay;
             self.state_v = clamp(v, self.min_v, self.max_v);
@@ -107,7 +108,7 @@ impl AmplifierSim {
         self.pipeline.push_back(target_v);
         let early_target = self.pipeline.pop_front().unwrap_or(target_v);
         let late_target = self.pipeline.front().copied().unwrap_or(target_v);
-        let limits = self.slew.as_ref().map(|slew| slew.limits_v_per_s(load_f));
+        let limits = self.slew.as_ref().map(|slew| slew.limits_v_per_s(load.capacitance_f()));
         if self.early.length_s > 0.0 {
             self.segment(early_target, self.early, limits);
         }

@@ -98,6 +98,55 @@ impl Group {
         }
     }
 
+    /// Whether this is one axis that [`follow`](Self::follow) takes.
+    #[inline]
+    pub fn is_alone(&self) -> bool {
+        self.springs.is_empty() && self.axes.len() == 1 && self.axes[0].goes_alone()
+    }
+
+    /// `advance` through many ticks at once, for a group that is one axis alone: `command(tick, axis)`,
+    /// `output(tick, axis)`, session time at the end of a tick; `reached(tick, position_m, output_v)` hears of that end.
+    #[inline]
+    pub fn follow(
+        &mut self,
+        ticks: usize,
+        command: impl Fn(usize, usize) -> f64,
+        output: impl Fn(usize, usize) -> Option<f64>,
+        time_s: impl Fn(usize) -> f64,
+        mut reached: impl FnMut(usize, f64, f64),
+    ) {
+        let (member, substeps) = (self.members[0], self.substeps);
+        let part_s = self.step_s / substeps as f64;
+        // Sub-steps left after this one, and the tick that they belong to.
+        let (mut tick, mut left) = (0, substeps);
+        let mut ended = 0;
+        self.axes[0].follow(
+            ticks * substeps,
+            |amplifier, before_v, load| {
+                left -= 1;
+                let voltage = match output(tick, member) {
+                    // A measured output is taken to go straight from tick to tick.
+                    Some(end_v) => before_v + (end_v - before_v) / (left + 1) as f64,
+                    None => {
+                        let target = amplifier.target_v(member, |axis| command(tick, axis));
+                        amplifier.advance(target, load, time_s(tick) - left as f64 * part_s)
+                    }
+                };
+                if left == 0 {
+                    left = substeps;
+                    tick += 1;
+                }
+                voltage
+            },
+            |substep, position_m, output_v| {
+                if substep + 1 == (ended + 1) * substeps {
+                    reached(ended, position_m, output_v);
+                    ended += 1;
+                }
+            },
+        );
+    }
+
     /// Hold `command(axis)` to the next tick, at session time `time_s`; or go to `output(axis)` if that is known.
     #[inline]
     pub fn advance(
@@ -106,6 +155,11 @@ impl Group {
         output: impl Fn(usize) -> Option<f64> + Copy,
         time_s: f64,
     ) {
+        if self.is_alone() {
+            let command = |_: usize, axis: usize| command(axis);
+            self.follow(1, command, |_, axis| output(axis), |_| time_s, |_, _, _| {});
+            return;
+        }
         if self.substeps == 1 {
             self.substep(command, output, time_s);
             return;

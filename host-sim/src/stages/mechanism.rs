@@ -5,6 +5,9 @@
 //! amplifier of time constant tau goes to a held target. That makes the state at the end of the tick
 //! `phi s + gamma0 f0 + gamma1 f1` with constant matrices: `x1 = a + beta f1`.
 
+use std::cell::RefCell;
+use std::sync::Arc;
+
 use nalgebra::{DMatrix, DVector};
 
 use super::model::{AxisModel, StateKind};
@@ -69,20 +72,36 @@ pub fn substeps(model: &AxisModel, step_s: f64) -> usize {
 #[derive(Debug, Clone)]
 pub struct LinearMechanism {
     states: usize,
-    levels: Vec<Level>,
-    static_shape: [f64; MAX_STATES],
+    propagator: Arc<Propagator>,
     state: [f64; MAX_STATES],
 }
 
+/// What a tick does, for every level of the stiffening.
+#[derive(Debug)]
+struct Propagator {
+    levels: Vec<Level>,
+    static_shape: [f64; MAX_STATES],
+}
+
+/// Propagators that a thread keeps: a fit simulates many recordings of one mechanism, and most of its steps leave the
+/// mechanism alone.
+const KEPT: usize = 16;
+
+thread_local! {
+    /// Last used last, with all that went into them.
+    static PROPAGATORS: RefCell<Vec<(Vec<u64>, Arc<Propagator>)>> = const { RefCell::new(Vec::new()) };
+}
+
+/// Matrices of one level: `s1 = phi s0 + gamma0 f0 + gamma1 f1`.
 #[derive(Debug, Clone)]
-struct Level {
+pub(super) struct Level {
     /// Stiffness that the branch adds, N/m.
-    added_n_per_m: f64,
-    phi: [[f64; MAX_STATES]; MAX_STATES],
-    gamma0: [f64; MAX_STATES],
-    gamma1: [f64; MAX_STATES],
+    pub(super) added_n_per_m: f64,
+    pub(super) phi: [[f64; MAX_STATES]; MAX_STATES],
+    pub(super) gamma0: [f64; MAX_STATES],
+    pub(super) gamma1: [f64; MAX_STATES],
     /// 1 / (1 - gamma1 added): solves the end force for the displacement in it.
-    closing: f64,
+    pub(super) closing: f64,
 }
 
 impl LinearMechanism {
@@ -90,25 +109,38 @@ impl LinearMechanism {
     /// each of `added_n_per_m`.
     pub fn new(model: &AxisModel, step_s: f64, shape_s: f64, added_n_per_m: &[f64]) -> Self {
         let (a, kinds) = continuous(model);
-        let n = kinds.len();
+        let states = kinds.len();
         let mass = model.piezo.mass_kg + model.mechanism.mass_kg;
         let stiffness = model.piezo.stiffness_n_per_m + model.mechanism.stiffness_n_per_m;
-        let mut input = DVector::<f64>::zeros(n);
-        input[1] = 1.0 / mass;
-        let resting = (-&a).lu().solve(&input).unwrap_or_else(|| DVector::zeros(n));
-        let mut static_shape = [0.0; MAX_STATES];
-        static_shape[..n].copy_from_slice(resting.as_slice());
-        let shape = Shape::new(step_s, shape_s);
-        let rate = (stiffness / mass).sqrt();
-        let levels = added_n_per_m
-            .iter()
-            .map(|&added| {
-                let mut stiffer = a.clone();
-                stiffer[(1, 0)] -= added / mass;
-                Level::new(&stiffer, &kinds, (mass, stiffness, rate), step_s, &shape, added)
-            })
-            .collect();
-        Self { states: n, levels, static_shape, state: [0.0; MAX_STATES] }
+        let mut key: Vec<u64> = [mass, stiffness, step_s, shape_s].map(f64::to_bits).to_vec();
+        key.extend(kinds.iter().map(|kind| *kind as u64));
+        key.extend(a.iter().chain(added_n_per_m).map(|value| value.to_bits()));
+        let propagator = PROPAGATORS.with_borrow_mut(|kept| {
+            let entry = match kept.iter().position(|(known, _)| *known == key) {
+                Some(at) => kept.remove(at),
+                None => {
+                    if kept.len() == KEPT {
+                        kept.remove(0);
+                    }
+                    let shape = Shape::new(step_s, shape_s);
+                    (
+                        key,
+                        Arc::new(Propagator::new(
+                            &a,
+                            &kinds,
+                            (mass, stiffness),
+                            step_s,
+                            &shape,
+                            added_n_per_m,
+                        )),
+                    )
+                }
+            };
+            let propagator = entry.1.clone();
+            kept.push(entry);
+            propagator
+        });
+        Self { states, propagator, state: [0.0; MAX_STATES] }
     }
 
     /// Displacement, m.
@@ -119,26 +151,49 @@ impl LinearMechanism {
 
     /// Static displacement a newton, m/N.
     pub fn compliance_m_per_n(&self) -> f64 {
-        self.static_shape[0]
+        self.propagator.static_shape[0]
+    }
+
+    /// Number of linear states.
+    #[inline]
+    pub fn states(&self) -> usize {
+        self.states
+    }
+
+    /// Displacement (m) and velocity (m/s).
+    #[inline]
+    pub fn motion(&self) -> [f64; 2] {
+        [self.state[0], self.state[1]]
+    }
+
+    /// Put a mechanism of these two states alone somewhere.
+    #[inline]
+    pub fn set_motion(&mut self, motion: [f64; 2]) {
+        self.state[..2].copy_from_slice(&motion);
+    }
+
+    /// Matrices of a level.
+    pub(super) fn level(&self, level: usize) -> &Level {
+        &self.propagator.levels[level]
     }
 
     /// Number of levels of stiffening.
     #[inline]
     pub fn levels(&self) -> usize {
-        self.levels.len()
+        self.propagator.levels.len()
     }
 
     /// Come to rest under a constant force, N.
     pub fn rest_under(&mut self, force_n: f64) {
         for i in 0..self.states {
-            self.state[i] = self.static_shape[i] * force_n;
+            self.state[i] = self.propagator.static_shape[i] * force_n;
         }
     }
 
     /// Displacement at the end of the tick as `a + beta f1`, for a force that is `force0_n` at its start.
     #[inline]
     pub fn end_position(&self, level: usize, force0_n: f64) -> (f64, f64) {
-        let level = &self.levels[level];
+        let level = &self.propagator.levels[level];
         let start_n = force0_n + level.added_n_per_m * self.state[0];
         let mut sum = level.gamma0[0] * start_n;
         if self.states == 2 {
@@ -154,7 +209,7 @@ impl LinearMechanism {
     /// Go to the end of the tick, which is at displacement `x1` under `force1_n`.
     #[inline]
     pub fn advance(&mut self, level: usize, force0_n: f64, force1_n: f64, x1: f64) {
-        let level = &self.levels[level];
+        let level = &self.propagator.levels[level];
         let start_n = force0_n + level.added_n_per_m * self.state[0];
         let end_n = force1_n + level.added_n_per_m * x1;
         if self.states == 2 {
@@ -174,6 +229,34 @@ impl LinearMechanism {
             }
         }
         self.state[0] = x1;
+    }
+}
+
+impl Propagator {
+    fn new(
+        a: &DMatrix<f64>,
+        kinds: &[StateKind],
+        (mass, stiffness): (f64, f64),
+        step_s: f64,
+        shape: &Shape,
+        added_n_per_m: &[f64],
+    ) -> Self {
+        let n = kinds.len();
+        let mut input = DVector::<f64>::zeros(n);
+        input[1] = 1.0 / mass;
+        let resting = (-a).lu().solve(&input).unwrap_or_else(|| DVector::zeros(n));
+        let mut static_shape = [0.0; MAX_STATES];
+        static_shape[..n].copy_from_slice(resting.as_slice());
+        let rate = (stiffness / mass).sqrt();
+        let levels = added_n_per_m
+            .iter()
+            .map(|&added| {
+                let mut stiffer = a.clone();
+                stiffer[(1, 0)] -= added / mass;
+                Level::new(&stiffer, kinds, (mass, stiffness, rate), step_s, shape, added)
+            })
+            .collect();
+        Self { levels, static_shape }
     }
 }
 

@@ -7,6 +7,7 @@
 
 pub mod amplifier;
 pub mod axis;
+pub mod creep;
 pub mod group;
 pub mod hysteresis;
 pub mod mechanism;

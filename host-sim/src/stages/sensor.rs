@@ -43,14 +43,33 @@ impl SensorSim {
         }
     }
 
-    /// Whether the reading of a sensor is the displacement of its axis and nothing else.
-    pub fn is_plain(&self, sensor: usize) -> bool {
-        self.map.is_none() && self.channels[sensor].blocks.is_empty()
+    /// Whether nothing but the map and the offset lies between the displacements and the reading of a sensor.
+    pub fn is_bare(&self, sensor: usize) -> bool {
+        self.channels[sensor].blocks.is_empty()
     }
 
-    /// Offset of a sensor, m.
-    pub fn offset_m(&self, sensor: usize) -> f64 {
-        self.channels[sensor].offset_m
+    /// All readings of a sensor that is bare, from the displacements of each axis; may use theirs up.
+    pub fn bare_readings(
+        &self,
+        sensor: usize,
+        displacement_m: &mut [Vec<f64>],
+        samples: usize,
+    ) -> Vec<f64> {
+        let mut readings = match &self.map {
+            None => std::mem::take(&mut displacement_m[sensor]),
+            Some(map) => {
+                let mut sum = vec![0.0; samples];
+                for (weight, axis) in map[sensor].iter().zip(displacement_m) {
+                    if *weight != 0.0 {
+                        sum.iter_mut().zip(axis).for_each(|(sum, x)| *sum += weight * *x);
+                    }
+                }
+                sum
+            }
+        };
+        let offset_m = self.channels[sensor].offset_m;
+        readings.iter_mut().for_each(|x| *x += offset_m);
+        readings
     }
 
     /// Read the sensors for which `wanted` says so, at session time `time_s`, into `readings_m`.

@@ -3,11 +3,16 @@
 //! A tick is `begin` (the amplifier goes to its output at the end), `solve` (charge and displacement at the end, any
 //! number of times while neighbours are being solved), `commit`.
 
+mod alone;
+
 use super::amplifier::AmplifierSim;
-use super::hysteresis::{Branch, MaxwellElements};
+use super::creep::CreepSim;
+use super::hysteresis::{Branch, Elements, SlipElements};
 use super::mechanism::LinearMechanism;
-use super::model::{AxisModel, Force, Kelvin, RateLaw};
+use super::model::{AxisModel, Force, RateLaw};
 use crate::start::{Initial, Memory};
+
+pub use alone::Load;
 
 /// Displacement at which a solve with nonlinear forces has converged, m.
 const TOLERANCE_M: f64 = 1.0e-15;
@@ -16,10 +21,10 @@ const TOLERANCE_M: f64 = 1.0e-15;
 pub struct AxisSim {
     /// From command to amplifier output.
     pub amplifier: AmplifierSim,
-    elements: MaxwellElements,
+    elements: Elements,
     mechanism: LinearMechanism,
     forces: Vec<Box<dyn Force>>,
-    creep: Vec<CreepSim>,
+    creep: CreepSim,
     rate: Option<Box<dyn RateLaw>>,
     transformer: f64,
     capacitance: f64,
@@ -27,6 +32,7 @@ pub struct AxisSim {
     skew_per_c: f64,
     step_s: f64,
     levels_per_slope: f64,
+    ticks: Vec<alone::Tick>,
     // State at the start of the tick.
     output_v: f64,
     transducer_v: f64,
@@ -64,33 +70,6 @@ fn stiffening(model: &AxisModel) -> Vec<f64> {
         .collect()
 }
 
-/// One slow strain: exact for a transducer voltage that is straight over the tick.
-struct CreepSim {
-    state_v: f64,
-    decay: f64,
-    from_start: f64,
-    from_end: f64,
-    share: f64,
-}
-
-impl CreepSim {
-    fn new(kelvin: Kelvin, step_s: f64) -> Self {
-        let ratio = step_s / kelvin.time_constant_s;
-        let decay = (-ratio).exp();
-        // First-order response to a ramp: mean weight of the tick minus its end.
-        let rise = -(-ratio).exp_m1();
-        let from_end =
-            if ratio > 1.0e-4 { 1.0 - rise / ratio } else { ratio / 2.0 - ratio * ratio / 6.0 };
-        Self {
-            state_v: 0.0,
-            decay,
-            from_start: kelvin.share * (rise - from_end),
-            from_end: kelvin.share * from_end,
-            share: kelvin.share,
-        }
-    }
-}
-
 impl AxisSim {
     /// Build from a model, which gives up its blocks, for a tick of `step_s`.
     pub fn new(model: AxisModel, step_s: f64) -> Self {
@@ -100,13 +79,21 @@ impl AxisSim {
         let piezo = model.piezo;
         let all_slopes: f64 = piezo.slopes_v_per_c.iter().sum();
         let top = (added.len() - 1) as f64;
+        let creep = CreepSim::new(&piezo.creep, step_s);
+        let ticks = alone::ticks(
+            &mechanism,
+            piezo.transformer_n_per_v,
+            piezo.capacitance_f,
+            1.0 + creep.per_volt(),
+        );
         Self {
+            ticks,
             level: 0,
             levels_per_slope: if all_slopes > 0.0 { top / all_slopes } else { 0.0 },
-            elements: MaxwellElements::new(&piezo.slopes_v_per_c, &piezo.limits_v),
+            elements: Elements::new(&piezo.slopes_v_per_c, &piezo.limits_v, piezo.rate.is_some()),
             mechanism,
             forces: model.mechanism.forces,
-            creep: piezo.creep.iter().map(|kelvin| CreepSim::new(*kelvin, step_s)).collect(),
+            creep,
             rate: piezo.rate,
             transformer: piezo.transformer_n_per_v,
             capacitance: piezo.capacitance_f,
@@ -140,9 +127,7 @@ impl AxisSim {
                 self.elements.set_voltages(|_, _, i| volts.get(i).copied().unwrap_or(0.0));
             }
         }
-        for creep in &mut self.creep {
-            creep.state_v = creep.share * initial.held_v;
-        }
+        self.creep.settle(initial.held_v);
         self.rest(0.0);
         for force in &mut self.forces {
             force.commit(self.mechanism.position_m(), 0.0);
@@ -152,7 +137,7 @@ impl AxisSim {
 
     /// Find the resting place at the present output voltage and memory under a force from outside, N.
     pub fn rest(&mut self, outside_n: f64) {
-        let slow: f64 = self.creep.iter().map(|creep| creep.state_v).sum();
+        let slow = self.creep.sum_v();
         let mut charge = 0.0;
         for _ in 0..100 {
             let before = (charge, self.mechanism.position_m());
@@ -191,11 +176,10 @@ impl AxisSim {
 
     /// The state at this tick, to start from later.
     pub fn state(&self) -> Initial {
-        let shares: f64 = self.creep.iter().map(|creep| creep.share).sum();
-        let slow: f64 = self.creep.iter().map(|creep| creep.state_v).sum();
+        let (shares, slow) = (self.creep.shares(), self.creep.sum_v());
         Initial {
             amplifier_v: Some(self.amplifier.state_v()),
-            memory: Memory::Elements(self.elements.voltages().to_vec()),
+            memory: Memory::Elements(self.elements.voltages()),
             held_v: if shares != 0.0 { slow / shares } else { self.transducer_v },
         }
     }
@@ -203,8 +187,8 @@ impl AxisSim {
     /// Send a target to the amplifier for the tick that ends at `time_s`.
     #[inline]
     pub fn begin(&mut self, target_v: f64, time_s: f64) {
-        let load_f = self.load_f();
-        let output_v = self.amplifier.advance(target_v, load_f, time_s);
+        let load = self.load();
+        let output_v = self.amplifier.advance(target_v, load, time_s);
         self.begin_at(output_v);
     }
 
@@ -218,15 +202,10 @@ impl AxisSim {
         (self.free_m, self.beta) = self.mechanism.end_position(self.level, self.force_n);
         self.next_position_m = self.mechanism.position_m();
         if !self.creep.is_empty() {
-            self.slow_v = 0.0;
-            self.slow_per_v = 0.0;
-            for creep in &self.creep {
-                self.slow_v += creep.decay * creep.state_v + creep.from_start * self.transducer_v;
-                self.slow_per_v += creep.from_end;
-            }
+            (self.slow_v, self.slow_per_v) = self.creep.begin(self.transducer_v);
         }
         if let Some(rate) = &self.rate {
-            let current = (output_v - self.output_v) * self.load_f() / self.step_s;
+            let current = (output_v - self.output_v) * self.load().capacitance_f() / self.step_s;
             self.limit_scale = rate.scale(current.abs());
         }
     }
@@ -287,10 +266,8 @@ impl AxisSim {
     pub fn commit(&mut self) {
         self.elements.commit();
         self.mechanism.advance(self.level, self.force_n, self.next_force_n, self.next_position_m);
-        for creep in &mut self.creep {
-            creep.state_v = creep.decay * creep.state_v
-                + creep.from_start * self.transducer_v
-                + creep.from_end * self.next_transducer_v;
+        if !self.creep.is_empty() {
+            self.creep.commit(self.next_transducer_v);
         }
         for force in &mut self.forces {
             force.commit(self.next_position_m, self.step_s);
@@ -300,11 +277,17 @@ impl AxisSim {
         self.output_v = self.input_v;
     }
 
-    /// Large-signal capacitance that the stack shows the amplifier, F.
-    fn load_f(&self) -> f64 {
-        let free = self.capacitance
-            + self.transformer * self.transformer * self.mechanism.compliance_m_per_n();
-        1.0 / (1.0 / free + self.elements.tangent_v_per_c())
+    /// What the stack shows the amplifier.
+    fn load(&self) -> Load {
+        Load {
+            free_elastance: self.free_elastance(),
+            tangent_v_per_c: self.elements.tangent_v_per_c(),
+        }
+    }
+
+    fn free_elastance(&self) -> f64 {
+        let square = self.transformer * self.transformer;
+        1.0 / (self.capacitance + square * self.mechanism.compliance_m_per_n())
     }
 
     fn forces_at(&self, x: f64) -> (f64, f64) {

@@ -1,0 +1,210 @@
+//! The whole tick in one piece, for an axis that no spring ties to another one and no nonlinear force acts on: what
+//! nearly every simulation runs. `begin`, `solve`, `commit` give the same numbers to rounding and serve the rest.
+
+use super::AxisSim;
+use crate::stages::amplifier::AmplifierSim;
+use crate::stages::creep::CreepSim;
+use crate::stages::hysteresis::{Branch, Elements, SlipElements};
+use crate::stages::mechanism::LinearMechanism;
+use crate::stages::model::RateLaw;
+
+/// What a tick does at one level of stiffening, with everything that does not change multiplied out.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Tick {
+    /// Displacement a volt of transducer voltage, m/V.
+    per_volt: f64,
+    /// Charge a volt of transducer voltage, F.
+    capacitance_f: f64,
+    /// Displacement a newton at the end of the tick, m/N.
+    beta: f64,
+    /// Displacement without transducer voltage from force, displacement and velocity before (two states).
+    free: [f64; 3],
+    /// Velocity from force, displacement and velocity before, and from force and displacement after (two states).
+    velocity: [f64; 5],
+}
+
+/// Ticks for every level of a mechanism under a stack of so much transformer ratio (N/V) and capacitance (F); creep
+/// multiplies what a volt does by `creeping`.
+pub(super) fn ticks(
+    mechanism: &LinearMechanism,
+    transformer: f64,
+    capacitance_f: f64,
+    creeping: f64,
+) -> Vec<Tick> {
+    (0..mechanism.levels())
+        .map(|level| {
+            let m = mechanism.level(level);
+            let beta = m.gamma1[0] * m.closing;
+            let per_volt = beta * transformer * creeping;
+            Tick {
+                per_volt,
+                capacitance_f: transformer * per_volt + capacitance_f,
+                beta,
+                free: [
+                    m.gamma0[0] * m.closing,
+                    (m.phi[0][0] + m.gamma0[0] * m.added_n_per_m) * m.closing,
+                    m.phi[0][1] * m.closing,
+                ],
+                velocity: [
+                    m.gamma0[1],
+                    m.phi[1][0] + m.gamma0[1] * m.added_n_per_m,
+                    m.phi[1][1],
+                    m.gamma1[1],
+                    m.gamma1[1] * m.added_n_per_m,
+                ],
+            }
+        })
+        .collect()
+}
+
+/// The capacitance that a stack shows its amplifier, worked out only if somebody asks.
+#[derive(Debug, Clone, Copy)]
+pub struct Load {
+    /// Inverse capacitance of the stack when all elements slip, 1/F.
+    pub free_elastance: f64,
+    /// Slope of the hysteresis voltage, V/C.
+    pub tangent_v_per_c: f64,
+}
+
+impl Load {
+    /// Large-signal capacitance, F.
+    #[inline]
+    pub fn capacitance_f(self) -> f64 {
+        1.0 / (self.free_elastance + self.tangent_v_per_c)
+    }
+}
+
+/// All of an axis but its elements.
+struct Parts<'a> {
+    amplifier: &'a mut AmplifierSim,
+    mechanism: &'a mut LinearMechanism,
+    creep: &'a mut CreepSim,
+    rate: Option<&'a dyn RateLaw>,
+    ticks: &'a [Tick],
+    levels_per_slope: f64,
+    transformer: f64,
+    drag_v_per_c: f64,
+    skew_per_c: f64,
+    step_s: f64,
+    free_elastance: f64,
+    output_v: &'a mut f64,
+    transducer_v: &'a mut f64,
+    force_n: &'a mut f64,
+}
+
+impl AxisSim {
+    /// Whether [`follow`](Self::follow) does what `begin`, `solve` and `commit` do.
+    #[inline]
+    pub fn goes_alone(&self) -> bool {
+        self.forces.is_empty()
+    }
+
+    /// Go through ticks without forces from outside. `output(amplifier, output_v, load)` is the amplifier's output
+    /// at the end of a tick that begins at `output_v`; `reached(tick, position_m, output_v)` hears of that end.
+    #[inline]
+    pub fn follow(
+        &mut self,
+        ticks: usize,
+        output: impl FnMut(&mut AmplifierSim, f64, Load) -> f64,
+        reached: impl FnMut(usize, f64, f64),
+    ) {
+        let two = self.mechanism.states() == 2;
+        let free_elastance = self.free_elastance();
+        let parts = Parts {
+            amplifier: &mut self.amplifier,
+            mechanism: &mut self.mechanism,
+            creep: &mut self.creep,
+            rate: self.rate.as_deref(),
+            ticks: &self.ticks,
+            levels_per_slope: self.levels_per_slope,
+            transformer: self.transformer,
+            drag_v_per_c: self.drag_v_per_c,
+            skew_per_c: self.skew_per_c,
+            step_s: self.step_s,
+            free_elastance,
+            output_v: &mut self.output_v,
+            transducer_v: &mut self.transducer_v,
+            force_n: &mut self.force_n,
+        };
+        match (&mut self.elements, two) {
+            (Elements::Ladder(e), true) => parts.run::<_, true>(e, ticks, output, reached),
+            (Elements::Ladder(e), false) => parts.run::<_, false>(e, ticks, output, reached),
+            (Elements::Zones(e), true) => parts.run::<_, true>(e, ticks, output, reached),
+            (Elements::Zones(e), false) => parts.run::<_, false>(e, ticks, output, reached),
+        }
+    }
+}
+
+impl Parts<'_> {
+    #[inline(always)]
+    fn run<E: SlipElements, const TWO_STATES: bool>(
+        self,
+        elements: &mut E,
+        ticks: usize,
+        mut output: impl FnMut(&mut AmplifierSim, f64, Load) -> f64,
+        mut reached: impl FnMut(usize, f64, f64),
+    ) {
+        let creeping = !self.creep.is_empty();
+        let (mut before_v, mut transducer_v) = (*self.output_v, *self.transducer_v);
+        let mut force_n = *self.force_n;
+        let [mut x, mut w] = self.mechanism.motion();
+        let mut branch = Branch {
+            charge_at_zero_c: 0.0,
+            capacitance_f: 0.0,
+            input_v: 0.0,
+            drag_v_per_c: self.drag_v_per_c,
+            skew_per_c: self.skew_per_c,
+            limit_scale: 1.0,
+        };
+        for tick in 0..ticks {
+            let load = Load {
+                free_elastance: self.free_elastance,
+                tangent_v_per_c: elements.tangent_v_per_c(),
+            };
+            let input_v = output(self.amplifier, before_v, load);
+            if let Some(rate) = self.rate {
+                let current = (input_v - before_v) * load.capacitance_f() / self.step_s;
+                branch.limit_scale = rate.scale(current.abs());
+            }
+            let tangent = elements.tangent_towards(input_v >= before_v);
+            let level =
+                ((tangent * self.levels_per_slope + 0.5) as usize).min(self.ticks.len() - 1);
+            let constants = &self.ticks[level];
+            let mut free = if TWO_STATES {
+                let [force, position, velocity] = constants.free;
+                force * force_n + position * x + velocity * w
+            } else {
+                self.mechanism.end_position(level, force_n).0
+            };
+            let (mut slow_v, mut slow_per_v) = (0.0, 0.0);
+            if creeping {
+                (slow_v, slow_per_v) = self.creep.begin(transducer_v);
+                free += constants.beta * self.transformer * slow_v;
+            }
+            branch.charge_at_zero_c = self.transformer * free;
+            branch.capacitance_f = constants.capacitance_f;
+            branch.input_v = input_v;
+            transducer_v = elements.solve(&branch);
+            elements.commit();
+            let position = free + constants.per_volt * transducer_v;
+            let next_n = self.transformer * (transducer_v * (1.0 + slow_per_v) + slow_v);
+            if TWO_STATES {
+                let [f0, x0, w0, f1, x1] = constants.velocity;
+                w = (f0 * force_n + x0 * x + w0 * w) + (f1 * next_n + x1 * position);
+            } else {
+                self.mechanism.advance(level, force_n, next_n, position);
+            }
+            x = position;
+            if creeping {
+                self.creep.commit(transducer_v);
+            }
+            force_n = next_n;
+            before_v = input_v;
+            reached(tick, x, input_v);
+        }
+        if TWO_STATES {
+            self.mechanism.set_motion([x, w]);
+        }
+        (*self.output_v, *self.transducer_v, *self.force_n) = (before_v, transducer_v, force_n);
+    }
+}

@@ -1,0 +1,102 @@
+//! Slow strains of one stack, each exact for a transducer voltage that is straight over the tick.
+
+use super::model::Kelvin;
+
+/// Strains done at once.
+const LANES: usize = 4;
+
+/// The strains, in groups of lanes; lanes without a strain stay at zero.
+pub struct CreepSim {
+    strains: Vec<Lanes>,
+    from_end: f64,
+    shares: f64,
+}
+
+#[derive(Clone, Copy, Default)]
+struct Lanes {
+    state_v: [f64; LANES],
+    /// State at the end of the tick for a transducer voltage of zero there.
+    coming_v: [f64; LANES],
+    decay: [f64; LANES],
+    from_start: [f64; LANES],
+    from_end: [f64; LANES],
+    share: [f64; LANES],
+}
+
+impl CreepSim {
+    /// Build for a tick of `step_s`.
+    pub fn new(strains: &[Kelvin], step_s: f64) -> Self {
+        let mut sim = Self {
+            strains: vec![Lanes::default(); strains.len().div_ceil(LANES)],
+            from_end: 0.0,
+            shares: 0.0,
+        };
+        for (i, kelvin) in strains.iter().enumerate() {
+            let ratio = step_s / kelvin.time_constant_s;
+            // First-order response to a ramp: mean weight of the tick minus its end.
+            let rise = -(-ratio).exp_m1();
+            let from_end =
+                if ratio > 1.0e-4 { 1.0 - rise / ratio } else { ratio / 2.0 - ratio * ratio / 6.0 };
+            let (lanes, lane) = (&mut sim.strains[i / LANES], i % LANES);
+            lanes.decay[lane] = (-ratio).exp();
+            lanes.from_start[lane] = kelvin.share * (rise - from_end);
+            lanes.from_end[lane] = kelvin.share * from_end;
+            lanes.share[lane] = kelvin.share;
+            sim.from_end += lanes.from_end[lane];
+            sim.shares += kelvin.share;
+        }
+        sim
+    }
+
+    /// Whether there are none.
+    #[inline]
+    pub fn is_empty(&self) -> bool {
+        self.strains.is_empty()
+    }
+
+    /// Sum of the final shares, 1.
+    pub fn shares(&self) -> f64 {
+        self.shares
+    }
+
+    /// Sum of what a volt at the end of a tick adds there, 1.
+    pub fn per_volt(&self) -> f64 {
+        self.from_end
+    }
+
+    /// Sum of the states, V.
+    pub fn sum_v(&self) -> f64 {
+        self.strains.iter().flat_map(|lanes| lanes.state_v).sum()
+    }
+
+    /// Settle at a transducer voltage held for ever.
+    pub fn settle(&mut self, held_v: f64) {
+        for lanes in &mut self.strains {
+            lanes.state_v = lanes.share.map(|share| share * held_v);
+        }
+    }
+
+    /// Begin a tick at a transducer voltage: the sum of the states at its end as `(v, per_v)`, in the voltage there.
+    #[inline]
+    pub fn begin(&mut self, start_v: f64) -> (f64, f64) {
+        let mut sum = [0.0; LANES];
+        for lanes in &mut self.strains {
+            for (lane, sum) in sum.iter_mut().enumerate() {
+                lanes.coming_v[lane] =
+                    lanes.decay[lane] * lanes.state_v[lane] + lanes.from_start[lane] * start_v;
+                *sum += lanes.coming_v[lane];
+            }
+        }
+        ((sum[0] + sum[1]) + (sum[2] + sum[3]), self.from_end)
+    }
+
+    /// Accept the tick that began last, at the end of which the transducer voltage is `end_v`.
+    #[inline]
+    pub fn commit(&mut self, end_v: f64) {
+        for lanes in &mut self.strains {
+            for lane in 0..LANES {
+                lanes.state_v[lane] = lanes.coming_v[lane] + lanes.from_end[lane] * end_v;
+            }
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! The two quick forms of the Maxwell slip elements against a slow one that looks at every element and halves its way to
+//! the charge: any stack, any path, any memory.
+
+use host_sim::stages::hysteresis::{Branch, Elements, SlipElements};
+use proptest::prelude::*;
+
+/// Every element looked at, and the charge found by halving: slow, and like neither of the two.
+struct Plain {
+    slopes: Vec<f64>,
+    limits: Vec<f64>,
+    volts: Vec<f64>,
+    charge_c: f64,
+}
+
+impl Plain {
+    fn after(&self, drawn: f64, scale: f64) -> Vec<f64> {
+        let free = self.volts.iter().zip(&self.slopes).map(|(v, k)| v + k * drawn);
+        free.zip(&self.limits).map(|(v, top)| v.clamp(-top * scale, top * scale)).collect()
+    }
+
+    fn tick(&mut self, branch: &Branch) -> f64 {
+        let error = |drawn: f64| {
+            let charge = self.charge_c + drawn;
+            (charge - branch.charge_at_zero_c) / branch.capacitance_f
+                + self.after(drawn, branch.limit_scale).iter().sum::<f64>()
+                    * (1.0 + branch.skew_per_c * charge)
+                + branch.drag_v_per_c * drawn
+                - branch.input_v
+        };
+        let (mut low, mut high) = (-1.0e-2, 1.0e-2);
+        for _ in 0..200 {
+            let middle = 0.5 * (low + high);
+            if error(middle) > 0.0 { high = middle } else { low = middle }
+        }
+        self.volts = self.after(low, branch.limit_scale);
+        self.charge_c += low;
+        (self.charge_c - branch.charge_at_zero_c) / branch.capacitance_f
+    }
+}
+
+/// Elements of unlike slopes and slip charges, in no order, and a path of amplifier voltages.
+fn stacks() -> impl Strategy<Value = (Vec<(f64, f64)>, Vec<f64>)> {
+    let element = (1.0e3..1.0e5_f64, 1.0e-6..2.0e-4_f64);
+    let path =
+        proptest::collection::vec(prop_oneof![-10.0..150.0_f64, Just(40.0), 39.9..40.1_f64], 1..60);
+    (proptest::collection::vec(element, 0..20), path)
+}
+
+fn branch(input_v: f64) -> Branch {
+    Branch {
+        charge_at_zero_c: 3.0e-6,
+        capacitance_f: 2.0e-6,
+        input_v,
+        drag_v_per_c: 0.0,
+        skew_per_c: 0.0,
+        limit_scale: 1.0,
+    }
+}
+
+/// Go along a path with both and compare; a tick of the path is reached in `steps` equal steps.
+fn compare(
+    (parameters, path): (Vec<(f64, f64)>, Vec<f64>),
+    scaled: bool,
+    start: impl Fn(f64, f64, usize) -> f64,
+    each: impl Fn(usize, &mut Branch),
+) -> Result<(), TestCaseError> {
+    let (slopes, limits): (Vec<f64>, Vec<f64>) =
+        parameters.iter().map(|(slope, slip)| (*slope, slope * slip)).unzip();
+    let mut fast = Elements::new(&slopes, &limits, scaled);
+    let volts: Vec<f64> = (0..slopes.len())
+        .map(|i| start(slopes[i], limits[i], i).clamp(-limits[i], limits[i]))
+        .collect();
+    let mut slow = Plain { slopes, limits, volts, charge_c: 2.0e-6 };
+    fast.set_voltages(start);
+    fast.set_charge(slow.charge_c);
+    let mut now = 0.0;
+    let mut tick = 0;
+    for target in path {
+        let from: f64 = now;
+        for step in 1..=5 {
+            now = from + (target - from) * f64::from(step) / 5.0;
+            let mut branch = branch(now);
+            each(tick, &mut branch);
+            tick += 1;
+            // A neighbour's first guess must leave no trace.
+            fast.solve(&Branch { input_v: now - 7.0, ..branch });
+            let (found, wanted) = (fast.solve(&branch), slow.tick(&branch));
+            fast.commit();
+            prop_assert!((found - wanted).abs() < 1.0e-10, "{found} V, not {wanted} V");
+            for (a, b) in fast.voltages().iter().zip(&slow.volts) {
+                prop_assert!((a - b).abs() < 1.0e-9, "element at {a} V, not {b} V");
+            }
+            prop_assert!((fast.sum_v() - slow.volts.iter().sum::<f64>()).abs() < 1.0e-9);
+        }
+    }
+    Ok(())
+}
+
+proptest! {
+    #[test]
+    fn the_ladder_finds_what_all_elements_give(stack in stacks(), swept in -3.0e-4..3.0e-4_f64, skew in -300.0..300.0_f64) {
+        compare(stack.clone(), false, |_, _, _| 0.0, |_, _| {})?;
+        compare(stack.clone(), false, |slope, _, _| slope * swept, |_, branch| branch.drag_v_per_c = 2.0e5)?;
+        compare(stack, false, |slope, _, _| slope * swept, |_, branch| branch.skew_per_c = skew)?;
+    }
+
+    #[test]
+    fn zones_find_what_all_elements_give(
+        stack in stacks(),
+        shares in proptest::collection::vec(-1.0..1.0_f64, 20),
+        scales in proptest::collection::vec(prop_oneof![Just(1.0), 0.9..1.1_f64, 0.2..2.0_f64], 300),
+    ) {
+        compare(stack.clone(), true, |_, limit, i| limit * shares[i], |_, _| {})?;
+        compare(stack.clone(), true, |_, _, _| 0.0, |tick, branch| branch.limit_scale = 1.0 + 0.1 * (tick as f64 * 0.1).sin())?;
+        compare(stack.clone(), true, |_, limit, i| limit * shares[i], |tick, branch| branch.limit_scale = scales[tick])?;
+        // A memory that no history leaves goes to the zones by itself.
+        compare(stack, false, |_, limit, i| limit * shares[i], |_, _| {})?;
+    }
+}
