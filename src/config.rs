@@ -13,8 +13,8 @@ use crate::settings::{
     AxisSettings, Check, ConverterSettings, DacSettings, FeedbackSettings, GuardSettings, Settings,
     SettingsError,
 };
-use crate::units::{Gain, MicroCoulomb, Quantity, Um, Volt, saturate};
-use crate::{AXES, TICK_HZ, TICK_S};
+use crate::units::{Gain, MicroCoulomb, Quantity, Um, Volt, narrow, saturate};
+use crate::{AXES, MAX_MAXWELL, TICK_HZ, TICK_S};
 
 /// A checked configuration. Only [`Config::build`] makes one.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -64,7 +64,7 @@ pub(crate) struct Converter {
 impl Converter {
     #[inline(always)]
     pub(crate) fn value(&self, code: i32) -> i32 {
-        saturate(((code as i64).wrapping_mul(self.scale as i64) >> 12) + self.offset as i64)
+        narrow::<12>((code as i64).wrapping_mul(self.scale as i64)).saturating_add(self.offset)
     }
     /// Nearest code for a quantity's bits: for simulators; not for the tick.
     fn code(&self, bits: i64) -> i32 {
@@ -88,14 +88,14 @@ impl Dac {
     #[inline(always)]
     pub(crate) fn code(&self, drive: Volt, error: &mut i32) -> u16 {
         let level = (drive - self.zero).to_bits() as i64;
-        // 22 + 20 fraction bits, to 16.
         let carried = if self.noise_shaping { *error } else { 0 };
-        let exact = saturate(level.wrapping_mul(self.scale as i64) >> 26).saturating_add(carried);
+        // 22 + 20 fraction bits, to 16.
+        let exact = narrow::<26>(level.wrapping_mul(self.scale as i64)).saturating_add(carried);
         let nearest = exact.saturating_add(0x8000) >> 16;
         let code = if nearest > self.full_code { self.full_code } else { nearest };
         let code = if code < 0 { 0 } else { code };
         let rest = exact.saturating_sub(code << 16);
-        *error = rest.clamp(-0x8000, 0x8000);
+        *error = rest.clamp(-0x8000, 0x7fff);
         code as u16
     }
 }
@@ -234,7 +234,7 @@ fn build_axis(
         feedforward: build_feedforward(axis, settings, cross)?,
         feedback: build_feedback(axis, &settings.feedback)?,
         watch: Watch {
-            full_code: settings.gauge.full_code as i32,
+            last_code: settings.gauge.full_code as i32 - 1,
             gauge_ticks: ticks(gauge_fault_s),
             max_step: Um::from_f32(or_off(max_step)),
             stuck_drive: Volt::from_f32(or_off(stuck)),
@@ -292,9 +292,9 @@ fn build_feedforward(
     inert += advance_ms * damp + 0.5 * advance_ms * advance_ms * stiff;
     damp += advance_ms * stiff;
 
-    let mut maxwell = Vec::new();
+    let mut maxwell = Vec::<Maxwell, MAX_MAXWELL>::new();
     if forward.hysteresis && scale > 0.0 {
-        let mut total = 0.0;
+        let (mut total, mut stiffest) = (0.0, 0.0);
         for element in &stack.hysteresis {
             let slip = Check::axis("stack.hysteresis", axis);
             let capacitance =
@@ -309,10 +309,15 @@ fn build_feedforward(
                 500.0,
                 "uC at slip (F times V)",
             )?;
-            let _ = maxwell.push(Maxwell {
-                elastance: gain(&slip, "capacitance_f", scale / (capacitance * 1.0e6))?,
+            let elastance = scale / (capacitance * 1.0e6);
+            stiffest += elastance;
+            gain::<MicroCoulomb, Volt>(&slip, "capacitance_f", stiffest)?;
+            let built = Maxwell {
+                elastance: gain(&slip, "capacitance_f", elastance)?,
                 slip: MicroCoulomb::from_f32(slip_uc),
-            });
+            };
+            let place = maxwell.iter().take_while(|other| other.slip <= built.slip).count();
+            let _ = maxwell.insert(place, built);
         }
     }
     let charge_per_um =
@@ -342,8 +347,9 @@ fn build_feedforward(
     Ok(Feedforward {
         origin: Um::from_f32(origin),
         stiffness: um_gain("stiffness_n_per_m", stiff)?,
-        damping: gain(&check, "damping_n_s_per_m", scale * damp)?,
-        inertia: gain(&check, "mass_kg", scale * inert)?,
+        // 1 um in 0.2 ms is 5 um/ms; 1 um/(0.4 ms)^2 is 6.25 um/ms^2.
+        damping: gain(&check, "damping_n_s_per_m", scale * damp * 5.0)?,
+        inertia: gain(&check, "mass_kg", scale * inert * 6.25)?,
         charge_per_um,
         charge_per_volt,
         cross: [

@@ -8,7 +8,7 @@ use crate::feedback::FeedbackState;
 use crate::feedforward::FeedforwardState;
 use crate::generator::Table;
 use crate::guard::{Command, Refusal, Seen, WatchState};
-use crate::record::{AxisRecord, Faults, Flags, Limits, Record, Sample, State};
+use crate::record::{Faults, Flags, Limits, Record, Sample, State};
 use crate::trajectory::{Motion, Trajectory};
 use crate::units::{Um, Volt};
 use crate::{AXES, MAX_CREEP, creep};
@@ -212,9 +212,29 @@ impl Controller {
         }
     }
 
-    /// One sample in, one decision out.
+    /// One sample in, one decision out. `table`: the arbitrary waveform, if there is one.
     #[inline(always)]
-    pub fn tick(&mut self, config: &Config, table: &Table, sample: &Sample) -> Record {
+    pub fn tick<'t>(
+        &mut self,
+        config: &Config,
+        table: impl Into<Option<&'t Table>>,
+        sample: &Sample,
+    ) -> Record {
+        let mut record = Record::default();
+        self.tick_into(config, table, sample, &mut record);
+        record
+    }
+
+    /// As [`Controller::tick`]; all of `record` is written.
+    #[inline(always)]
+    pub fn tick_into<'t>(
+        &mut self,
+        config: &Config,
+        table: impl Into<Option<&'t Table>>,
+        sample: &Sample,
+        record: &mut Record,
+    ) {
+        let table = table.into();
         self.measure(config, sample);
         self.guard(config, sample);
         let swapped = self.digest != config.digest;
@@ -224,7 +244,7 @@ impl Controller {
         } else {
             self.retreat(config);
         }
-        self.record(config, swapped)
+        self.record(config, swapped, record);
     }
 
     /// Codes to quantities.
@@ -287,7 +307,7 @@ impl Controller {
 
     /// The control law of all axes.
     #[inline(always)]
-    fn control(&mut self, config: &Config, table: &Table, swapped: bool) {
+    fn control(&mut self, config: &Config, table: Option<&Table>, swapped: bool) {
         let closing = self.closing;
         self.closing = false;
         let rebase = swapped || closing;
@@ -364,20 +384,18 @@ impl Controller {
     }
 
     #[inline(always)]
-    fn record(&mut self, config: &Config, swapped: bool) -> Record {
-        let mut record = Record { tick: self.tick, ..Record::default() };
+    fn record(&mut self, config: &Config, swapped: bool, record: &mut Record) {
+        record.tick = self.tick;
         self.tick = self.tick.wrapping_add(1);
         let mut limits = Limits::NONE;
         for ((axis, settings), out) in self.axes.iter_mut().zip(&config.axes).zip(&mut record.axes)
         {
             limits = limits.with(axis.limits);
-            *out = AxisRecord {
-                reference: axis.trajectory.now(),
-                position: axis.position,
-                drive: axis.drive,
-                monitor: axis.monitor,
-                dac: settings.dac.code(axis.drive, &mut axis.dac_error),
-            };
+            out.reference = axis.trajectory.now();
+            out.position = axis.position;
+            out.drive = axis.drive;
+            out.monitor = axis.monitor;
+            out.dac = settings.dac.code(axis.drive, &mut axis.dac_error);
         }
         let parked = self.parked && !self.state.is_active();
         record.flags = Flags(
@@ -388,14 +406,13 @@ impl Controller {
                 | (self.faults.to_bits() as u32 & 0x1fff) << 16
                 | self.faulted_axes << 29,
         );
-        record
     }
 }
 
 impl Axis {
     /// Where the reference goes. On the tick that closes the loop it starts where the stage is, and nothing is remembered.
     #[inline(always)]
-    fn lead(&mut self, config: &AxisConfig, table: &Table, closing: bool) {
+    fn lead(&mut self, config: &AxisConfig, table: Option<&Table>, closing: bool) {
         if closing {
             self.trajectory.reset(self.position);
             self.feedforward.reset();
@@ -439,12 +456,16 @@ impl Axis {
         let in_range = wanted.limit(low, high);
         let next = in_range.limit(self.drive - config.slew, self.drive + config.slew);
         self.excess = wanted - next;
-        self.limits = Limits::VOLTAGE_HIGH
-            .when(wanted > high)
-            .with(Limits::VOLTAGE_LOW.when(wanted < low))
-            .with(Limits::SLEW.when(next != in_range))
-            .with(Limits::TRAVEL.when(self.trajectory.is_clipped()))
+        let mut limits = Limits::TRAVEL
+            .when(self.trajectory.is_clipped())
             .with(Limits::INTEGRAL.when(integral_at_limit));
+        if next != wanted {
+            limits = limits
+                .with(Limits::VOLTAGE_HIGH.when(wanted > high))
+                .with(Limits::VOLTAGE_LOW.when(wanted < low))
+                .with(Limits::SLEW.when(next != in_range));
+        }
+        self.limits = limits;
         self.drive = next;
     }
 }

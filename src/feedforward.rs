@@ -14,7 +14,7 @@ use heapless::Vec;
 use crate::creep::{Creep, CreepState};
 use crate::hysteresis::{HysteresisState, Maxwell};
 use crate::trajectory::Motion;
-use crate::units::{Gain, MicroCoulomb, Um, UmPerMs, UmPerMs2, Volt};
+use crate::units::{Gain, MicroCoulomb, Um, UmPer2Ticks, UmPer4Ticks2, Volt};
 use crate::{MAX_CREEP, MAX_MAXWELL};
 
 /// Coefficients of one axis.
@@ -24,9 +24,9 @@ pub struct Feedforward {
     /// (k_p + k) / T
     pub(crate) stiffness: Gain<Um, Volt>,
     /// b / T, and the advance of the stiffness term
-    pub(crate) damping: Gain<UmPerMs, Volt>,
+    pub(crate) damping: Gain<UmPer2Ticks, Volt>,
     /// m / T, and the advance of the damping term
-    pub(crate) inertia: Gain<UmPerMs2, Volt>,
+    pub(crate) inertia: Gain<UmPer4Ticks2, Volt>,
     /// T
     pub(crate) charge_per_um: Gain<Um, MicroCoulomb>,
     /// C
@@ -36,6 +36,7 @@ pub struct Feedforward {
     pub(crate) is_crossed: bool,
     /// p / (1 - p)
     pub(crate) lead: Gain<Volt, Volt>,
+    /// In the order of the charges at which they slip.
     pub(crate) maxwell: Vec<Maxwell, MAX_MAXWELL>,
     pub(crate) creep: Vec<Creep, MAX_CREEP>,
 }
@@ -52,7 +53,7 @@ pub struct FeedforwardState {
 impl FeedforwardState {
     /// A stack that was never driven.
     pub const REST: Self = Self {
-        hysteresis: HysteresisState::relaxed(MicroCoulomb::ZERO),
+        hysteresis: HysteresisState::RELAXED,
         creep: CreepState::REST,
         stack: Volt::ZERO,
         change: Volt::ZERO,
@@ -61,7 +62,7 @@ impl FeedforwardState {
     /// As [`FeedforwardState::REST`], in place.
     #[inline(always)]
     pub(crate) fn reset(&mut self) {
-        self.hysteresis.reset(MicroCoulomb::ZERO);
+        self.hysteresis.reset();
         self.creep.reset();
         self.stack = Volt::ZERO;
         self.change = Volt::ZERO;
@@ -99,7 +100,7 @@ impl Feedforward {
             let charge =
                 (self.charge_per_um * elastic + self.charge_per_volt * transducer).narrow();
             if rebase {
-                state.hysteresis.rebase(charge);
+                state.hysteresis.rebase(&self.maxwell, charge);
             }
             stack += state.hysteresis.step(&self.maxwell, charge);
         }

@@ -5,7 +5,7 @@
 //! Design: bilinear transform of (s^2 + 2 depth zeta w s + w^2) / (s^2 + 2 zeta w s + w^2), prewarped at w.
 
 use crate::math::sin_cos_turns;
-use crate::units::{Volt, saturate};
+use crate::units::{Volt, narrow};
 
 const FRACTION: u32 = 29;
 
@@ -72,7 +72,7 @@ impl Notch {
             .wrapping_add(product(self.b2, state.x2))
             .wrapping_sub(product(self.a1, state.y1))
             .wrapping_sub(product(self.a2, state.y2));
-        let y = saturate(sum >> FRACTION);
+        let y = narrow::<FRACTION>(sum);
         state.error = (sum & ((1 << FRACTION) - 1)) as i32;
         state.x2 = state.x1;
         state.x1 = x;

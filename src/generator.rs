@@ -3,10 +3,16 @@
 //! Every waveform is `center + amplitude * w(phase)` with w in Q1.30 and a 32-bit phase accumulator, so that periods are
 //! exact for ever. [`crate::trajectory`] starts, stops and changes them without a jump in position or velocity.
 
-use crate::math::{self, ONE_Q30, phase_of_turns, sin_q30};
+use crate::math::{self, phase_of_turns, sin_q30};
 use crate::settings::{Check, SettingsError};
 use crate::units::Um;
-use crate::{MAX_TONES, TABLE_POINTS, TICK_HZ, TICK_S};
+use crate::{MAX_TONES, TICK_HZ, TICK_S};
+
+mod table;
+mod waves;
+
+pub use table::Table;
+use waves::{clip_q30, multisine_scale, multisine_sum, staircase_q30, triangle_q30};
 
 /// A reference waveform in physical units. Amplitudes are peak values about the centre: a 10 um stroke has amplitude 5 um.
 #[derive(
@@ -335,7 +341,7 @@ impl Generator {
 
     /// The waveform at a phase, Q1.30.
     #[inline(always)]
-    pub(crate) fn wave(&self, table: &Table, phase: u32) -> i32 {
+    pub(crate) fn wave(&self, table: Option<&Table>, phase: u32) -> i32 {
         match self.shape {
             Shape::Stop | Shape::Go { .. } => 0,
             Shape::Sine | Shape::Sweep { .. } => sin_q30(phase),
@@ -349,253 +355,13 @@ impl Generator {
                 let sum = multisine_sum(phase, first, stride, tones, seed);
                 clip_q30((sum as i64 * scale as i64) >> 25)
             }
-            Shape::Table => table.at(phase),
+            Shape::Table => match table {
+                Some(table) => table.at(phase),
+                None => 0,
+            },
         }
-    }
-}
-
-/// Q1.30 with a little room: waveforms stay within +-1.
-#[inline(always)]
-const fn clip_q30(x: i64) -> i32 {
-    if x > ONE_Q30 as i64 {
-        ONE_Q30
-    } else if x < -(ONE_Q30 as i64) {
-        -ONE_Q30
-    } else {
-        x as i32
-    }
-}
-
-/// 0 at phase 0, 1 at a quarter, -1 at three quarters.
-#[inline(always)]
-const fn triangle_q30(phase: u32) -> i32 {
-    let turn = phase as i32;
-    if turn > ONE_Q30 || turn < -ONE_Q30 { i32::MIN.wrapping_sub(turn) } else { turn }
-}
-
-#[inline(always)]
-const fn staircase_q30(phase: u32, steps: i32, steepness: i32) -> i32 {
-    // Height in steps, Q16: 0 at the bottom, `steps` at the top.
-    let height = ((triangle_q30(phase) as i64 + ONE_Q30 as i64) * steps as i64) >> 15;
-    let height = height as i32;
-    let whole = height >> 16;
-    let part = (height & 0xffff) - 0x8000;
-    let edge = ((part as i64 * steepness as i64) >> 16) + 0x8000;
-    let edge = if edge < 0 {
-        0
-    } else if edge > 0x1_0000 {
-        0x1_0000
-    } else {
-        edge as i32
-    };
-    // (whole + edge) / steps, to -1..1. One 32-bit division (`udiv`) instead of a table; steps >= 1.
-    let level = (whole << 16).wrapping_add(edge);
-    let divisor = if steps < 1 { 1 } else { steps as u32 };
-    let fraction = (level as u32) / divisor; // Q16
-    clip_q30(((fraction as i64) << 15) - ONE_Q30 as i64)
-}
-
-/// Phase of tone `k`: a hash of seed and number, so that no table is needed.
-#[inline(always)]
-const fn tone_phase(seed: u32, k: u32) -> u32 {
-    // Finaliser of MurmurHash3 (public domain, A. Appleby).
-    let mut h = seed.wrapping_add(k.wrapping_mul(0x9e37_79b9));
-    h = (h ^ (h >> 16)).wrapping_mul(0x85eb_ca6b);
-    h = (h ^ (h >> 13)).wrapping_mul(0xc2b2_ae35);
-    h ^ (h >> 16)
-}
-
-/// Sum of the tones over 16, Q1.30.
-#[inline(always)]
-fn multisine_sum(phase: u32, first: u16, stride: u16, tones: u8, seed: u32) -> i32 {
-    let mut sum = 0i32;
-    let mut tone = phase.wrapping_mul(first as u32);
-    let distance = phase.wrapping_mul(stride as u32);
-    for k in 0..u32::from(if tones > MAX_TONES { MAX_TONES } else { tones }) {
-        sum = sum.wrapping_add(sin_q30(tone.wrapping_add(tone_phase(seed, k))) >> 4);
-        tone = tone.wrapping_add(distance);
-    }
-    sum
-}
-
-/// Q6.25 factor that brings the largest value over a period to 1 (less a thousandth for what lies between the samples).
-fn multisine_scale(first: u16, stride: u16, tones: u8, seed: u32, highest: u32) -> i32 {
-    let samples = 16 * highest;
-    let step = u32::MAX / samples;
-    let peak = (0..samples)
-        .map(|n| multisine_sum(n.wrapping_mul(step), first, stride, tones, seed).unsigned_abs())
-        .max()
-        .unwrap_or(0)
-        .max(1 << 20);
-    ((1u64 << 55) as f64 * 0.98 / peak as f64) as i32
-}
-
-/// Arbitrary waveform: up to 1024 points over one period.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Table {
-    points: [i32; TABLE_POINTS],
-    len: u32,
-}
-
-impl Table {
-    /// A flat line.
-    pub const EMPTY: Self = Self { points: [0; TABLE_POINTS], len: 0 };
-
-    /// Take over the points of one period, each from -1 to 1. Nothing changes if one of them is not.
-    pub fn set(&mut self, points: &[f32]) -> Result<(), SettingsError> {
-        let check = Check::new("table");
-        check.range("points", points.len() as f32, 4.0, TABLE_POINTS as f32, "points")?;
-        self.write(0, points)?;
-        self.set_len(points.len())
-    }
-    /// Take over some points, each from -1 to 1, from index `offset` on; the number of points in use stays. Nothing changes if one
-    /// of them cannot be used.
-    pub fn write(&mut self, offset: usize, points: &[f32]) -> Result<(), SettingsError> {
-        let check = Check::new("table");
-        let end = offset.saturating_add(points.len());
-        check.range("points", end as f32, 0.0, TABLE_POINTS as f32, "points")?;
-        for point in points {
-            check.range("points", *point, -1.0, 1.0, "of the amplitude")?;
-        }
-        for (to, from) in self.points.iter_mut().skip(offset).zip(points) {
-            *to = (from * ONE_Q30 as f32) as i32;
-        }
-        Ok(())
-    }
-    /// Use this many points.
-    pub fn set_len(&mut self, len: usize) -> Result<(), SettingsError> {
-        let check = Check::new("table");
-        check.range("points", len as f32, 4.0, TABLE_POINTS as f32, "points")?;
-        self.len = len as u32;
-        Ok(())
-    }
-    /// Number of points.
-    pub fn len(&self) -> usize {
-        self.len as usize
-    }
-    /// Whether there are no points.
-    pub fn is_empty(&self) -> bool {
-        self.len == 0
-    }
-
-    #[inline(always)]
-    fn point(&self, index: u32) -> i64 {
-        let index = if index >= self.len { index.wrapping_sub(self.len) } else { index };
-        match self.points.get(index as usize) {
-            Some(point) => *point as i64,
-            None => 0,
-        }
-    }
-
-    /// Catmull-Rom interpolation: through every point, velocity continuous.
-    #[inline(always)]
-    fn at(&self, phase: u32) -> i32 {
-        let place = phase as u64 * self.len as u64;
-        let index = (place >> 32) as u32;
-        let t = ((place as u32) >> 2) as i64; // Q30
-        let p0 = self.point(index.wrapping_add(self.len).wrapping_sub(1));
-        let p1 = self.point(index);
-        let p2 = self.point(index.wrapping_add(1));
-        let p3 = self.point(index.wrapping_add(2));
-        // Horner of p1 + t/2 (p2 - p0 + t (2p0 - 5p1 + 4p2 - p3 + t (3p1 - p0 - 3p2 + p3))); each bracket < 2^34.
-        let c3 = 3 * (p1 - p2) + p3 - p0;
-        let c2 = 2 * p0 - 5 * p1 + 4 * p2 - p3;
-        // Operands are reduced to 33 bits before the products, which therefore fit 63.
-        let inner = c2 + (((c3 >> 2) * t) >> 28);
-        let slope = (p2 - p0) + (((inner >> 2) * t) >> 28);
-        clip_q30(p1 + (((slope >> 2) * t) >> 29))
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use std::string::ToString;
-    use std::vec::Vec;
-
-    use super::*;
-
-    fn range(generator: &Generator, table: &Table) -> (f64, f64) {
-        let values = (0..100_000u32)
-            .map(|n| generator.wave(table, n.wrapping_mul(42_949)) as f64 / ONE_Q30 as f64);
-        values.fold((9.0, -9.0), |(low, high), x| (x.min(low), x.max(high)))
-    }
-
-    #[test]
-    fn every_waveform_fills_its_amplitude_and_no_more() {
-        let wave = Wave::between(0.0, 10.0, 1.0);
-        let mut table = Table::EMPTY;
-        let points: Vec<f32> =
-            (0..64).map(|i| (i as f32 / 64.0 * std::f32::consts::TAU).sin()).collect();
-        table.set(&points).unwrap();
-        for settings in [
-            GeneratorSettings::Triangle(wave),
-            GeneratorSettings::Sine(wave),
-            GeneratorSettings::Square { wave, slope_um_per_ms: 1.0 },
-            GeneratorSettings::Staircase { wave, steps: 5, slope_um_per_ms: 1.0 },
-            GeneratorSettings::Table(wave),
-        ] {
-            let (low, high) = range(&Generator::build(&settings).unwrap(), &table);
-            assert!(
-                (high - 1.0).abs() < 1e-3 && (low + 1.0).abs() < 1e-3,
-                "{settings:?}: {low} {high}"
-            );
-        }
-        let multisine = GeneratorSettings::Multisine(Multisine {
-            center_um: 5.0,
-            peak_um: 4.0,
-            base_hz: 1.0,
-            first: 3,
-            stride: 7,
-            tones: 16,
-            seed: 7,
-            blend_s: 0.1,
-            duration_s: 0.0,
-        });
-        let (low, high) = range(&Generator::build(&multisine).unwrap(), &table);
-        assert!(high.max(-low) > 0.97 && high.max(-low) <= 1.0, "{low} {high}");
-    }
-
-    #[test]
-    fn a_table_is_followed_between_its_points() {
-        let mut table = Table::EMPTY;
-        let points: Vec<f32> =
-            (0..64).map(|i| (i as f32 / 64.0 * std::f32::consts::TAU).sin()).collect();
-        table.set(&points).unwrap();
-        for n in 0..10_000u32 {
-            let phase = n.wrapping_mul(429_497);
-            let exact = (phase as f64 / 4_294_967_296.0 * std::f64::consts::TAU).sin();
-            assert!((table.at(phase) as f64 / ONE_Q30 as f64 - exact).abs() < 2e-4);
-        }
-        assert!(table.set(&[0.0, 2.0, 0.0, 0.0]).is_err());
-        assert_eq!(table.len(), 64, "a refused table leaves the old one");
-    }
-
-    #[test]
-    fn staircase_has_flat_treads() {
-        let wave = Wave::between(0.0, 10.0, 1.0);
-        let g = Generator::build(&GeneratorSettings::Staircase {
-            wave,
-            steps: 4,
-            slope_um_per_ms: 1.0,
-        })
-        .unwrap();
-        let mut levels: Vec<i32> = Vec::new();
-        let mut previous = g.wave(&Table::EMPTY, 0);
-        for n in 1..10_000u32 {
-            let w = g.wave(&Table::EMPTY, n.wrapping_mul(429_497));
-            if w == previous && !levels.contains(&w) {
-                levels.push(w);
-            }
-            previous = w;
-        }
-        assert_eq!(levels.len(), 5, "{levels:?}");
-    }
-
-    #[test]
-    fn bad_settings_are_refused_by_name() {
-        let wave = Wave { frequency_hz: f32::NAN, ..Wave::between(0.0, 1.0, 1.0) };
-        let error = Generator::build(&GeneratorSettings::Sine(wave)).unwrap_err();
-        assert_eq!(error.field, "frequency_hz");
-        assert!(error.to_string().contains("generator.frequency_hz"), "{error}");
-    }
-}
+mod tests;

@@ -85,10 +85,14 @@ impl core::fmt::Display for Refusal {
 
 impl core::error::Error for Refusal {}
 
+/// Good ticks that wash out the worst series of jumps, beyond the time that makes them a fault: 0.1 s.
+const JUMP_MEMORY: u32 = 1_000;
+
 /// Thresholds of one axis, in the tick's terms. A count of 0 ticks switches a watch off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Watch {
-    pub(crate) full_code: i32,
+    /// The highest code that is in range; the lowest is 1.
+    pub(crate) last_code: i32,
     pub(crate) gauge_ticks: u32,
     pub(crate) max_step: Um,
     pub(crate) stuck_drive: Volt,
@@ -149,57 +153,88 @@ impl WatchState {
 
     /// One tick. Faults of the gauge are found in every state, the others only while the loop is closed.
     ///
-    /// As a rule nothing is wrong and nothing was: then a tick compares and remembers, and counts nothing.
+    /// As a rule nothing is wrong and nothing was: then a tick compares and remembers, and counts nothing. Each condition is a
+    /// margin, negative beyond its limit, so that one test of the sign of all of them together is enough.
     #[inline(always)]
     pub(crate) fn step(&mut self, watch: &Watch, seen: Seen) -> Faults {
-        // Codes 1 to full - 1 are in range.
-        let railed = (seen.code.wrapping_sub(1) as u32) >= (watch.full_code.wrapping_sub(1) as u32);
-        let jump = beyond(seen.position - self.position, watch.max_step) && self.code != i32::MIN;
+        let code_before = self.code;
+        let railed = seen.code.saturating_sub(1) | watch.last_code.saturating_sub(seen.code);
+        let jump = margin(seen.position - self.position, watch.max_step);
         self.position = seen.position;
-        if seen.code != self.code || !seen.active {
+        if seen.code != code_before || !seen.active {
             self.code = seen.code;
             self.code_drive = seen.drive;
         }
-        let stuck = beyond(seen.drive - self.code_drive, watch.stuck_drive);
+        let stuck = margin(seen.drive - self.code_drive, watch.stuck_drive);
         let [low, high] = watch.travel;
-        let outside = seen.position < low || seen.position > high;
-        let lost = beyond(seen.reference - seen.position, watch.following);
-        let unlike = beyond(seen.monitor - seen.drive, watch.monitor);
-        let wrong = railed | jump | stuck | (seen.active & (outside | lost | unlike));
-        if !wrong && !self.counting {
+        let outside = (seen.position - low).to_bits() | (high - seen.position).to_bits();
+        let lost = margin(seen.reference - seen.position, watch.following);
+        let unlike = margin(seen.monitor - seen.drive, watch.monitor);
+        let closed = if seen.active { outside | lost | unlike } else { 0 };
+        if railed | jump | stuck | closed >= 0 && !self.counting {
             return Faults::NONE;
         }
-        let mut faults = Faults::RAILED.when(lasts(&mut self.railed, railed, watch.gauge_ticks));
-        // A jump is held against the gauge for as long as good samples take to wash it out.
-        self.jumping =
-            if jump { self.jumping.saturating_add(8) } else { self.jumping.saturating_sub(1) };
+        self.count(
+            watch,
+            Wrong {
+                railed: railed < 0,
+                // There is nothing to jump from at the first sample.
+                jump: jump < 0 && code_before != i32::MIN,
+                stuck: stuck < 0,
+                outside: seen.active && outside < 0,
+                lost: seen.active && lost < 0,
+                unlike: seen.active && unlike < 0,
+            },
+        )
+    }
+
+    /// Counts how long what is wrong has lasted.
+    #[inline(always)]
+    fn count(&mut self, watch: &Watch, wrong: Wrong) -> Faults {
+        let mut faults =
+            Faults::RAILED.when(lasts(&mut self.railed, wrong.railed, watch.gauge_ticks));
+        // A jump is held against the gauge for as long as good samples take to wash it out, but not for ever.
+        self.jumping = if wrong.jump {
+            let most = watch.gauge_ticks.saturating_add(JUMP_MEMORY);
+            self.jumping.saturating_add(8).min(most)
+        } else {
+            self.jumping.saturating_sub(1)
+        };
         let broken = watch.gauge_ticks != 0 && self.jumping > watch.gauge_ticks;
         faults = faults
             .with(Faults::DISCONNECTED.when(broken))
-            .with(Faults::STUCK.when(stuck))
-            .with(Faults::TRAVEL.when(lasts(
-                &mut self.outside,
-                seen.active & outside,
-                watch.gauge_ticks,
-            )))
+            .with(Faults::STUCK.when(wrong.stuck))
+            .with(Faults::TRAVEL.when(lasts(&mut self.outside, wrong.outside, watch.gauge_ticks)))
             .with(Faults::FOLLOWING_ERROR.when(lasts(
                 &mut self.following,
-                seen.active & lost,
+                wrong.lost,
                 watch.following_ticks,
             )))
             .with(Faults::MONITOR.when(lasts(
                 &mut self.monitor,
-                seen.active & unlike,
+                wrong.unlike,
                 watch.monitor_ticks,
             )));
-        self.counting = wrong || self.jumping != 0;
+        self.counting = self.jumping != 0
+            || self.railed | self.outside | self.following | self.monitor != 0
+            || wrong.stuck;
         faults
     }
 }
 
-/// Whether a magnitude is larger than a limit (not negative).
+/// What is wrong in one tick.
+struct Wrong {
+    railed: bool,
+    jump: bool,
+    stuck: bool,
+    outside: bool,
+    lost: bool,
+    unlike: bool,
+}
+
+/// Distance of a magnitude from a limit (not negative): negative beyond it. One unit in the last place more is allowed below zero.
 #[inline(always)]
-fn beyond<Q: Quantity>(value: Q, limit: Q) -> bool {
-    let (value, limit) = (value.to_bits(), limit.to_bits());
-    value > limit || value < limit.wrapping_neg()
+fn margin<Q: Quantity>(value: Q, limit: Q) -> i32 {
+    let value = value.to_bits();
+    limit.to_bits().wrapping_sub(value ^ (value >> 31))
 }

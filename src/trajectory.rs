@@ -11,7 +11,7 @@
 
 use crate::generator::{Generator, Shape, Table};
 use crate::math::{ONE_Q30, rounded_ramp_q30, smoothstep_q30};
-use crate::units::{Um, UmPerMs, UmPerMs2, saturate};
+use crate::units::{Um, UmPer2Ticks, UmPer4Ticks2, narrow};
 
 /// Start points lose 2^-4 of their velocity each tick: at rest after some 5 ms.
 const COAST_SHIFT: u32 = 4;
@@ -22,15 +22,15 @@ pub struct Motion {
     /// Position.
     pub position: Um,
     /// First derivative.
-    pub velocity: UmPerMs,
+    pub velocity: UmPer2Ticks,
     /// Second derivative.
-    pub acceleration: UmPerMs2,
+    pub acceleration: UmPer4Ticks2,
 }
 
 impl Motion {
     /// At zero, at rest.
     pub const REST: Self =
-        Self { position: Um::ZERO, velocity: UmPerMs::ZERO, acceleration: UmPerMs2::ZERO };
+        Self { position: Um::ZERO, velocity: UmPer2Ticks::ZERO, acceleration: UmPer4Ticks2::ZERO };
 }
 
 /// Reference of one axis.
@@ -131,7 +131,7 @@ impl Trajectory {
 
     /// One tick: returns the motion at n + 2.
     #[inline(always)]
-    pub fn step(&mut self, table: &Table, low: Um, high: Um) -> Motion {
+    pub fn step(&mut self, table: Option<&Table>, low: Um, high: Um) -> Motion {
         if self.coast != 0 {
             // Arithmetic shift rounds down; the nudge makes negative velocities end at zero too.
             let loss = self.coast >> COAST_SHIFT;
@@ -151,8 +151,8 @@ impl Trajectory {
                         Shape::Go { ramp: true } => rounded_ramp_q30(u),
                         _ => smoothstep_q30(u),
                     };
-                    let way = target.to_bits() as i64 - self.start.to_bits() as i64;
-                    self.start + Um::from_bits(saturate((way * s as i64) >> 30))
+                    let way = (target - self.start).to_bits();
+                    self.start + Um::from_bits(narrow::<30>(way as i64 * s as i64))
                 }
             }
         };
@@ -165,7 +165,7 @@ impl Trajectory {
 
     /// centre + amplitude * w, and the accumulators moved on.
     #[inline(always)]
-    fn waveform(&mut self, table: &Table, shape: Shape) -> Um {
+    fn waveform(&mut self, table: Option<&Table>, shape: Shape) -> Um {
         if let Shape::Go { .. } = shape {
             return self.generator.center;
         }
@@ -208,13 +208,12 @@ impl Trajectory {
 #[inline(always)]
 fn motion(after: Um, here: Um, before: Um) -> Motion {
     let (rise, fall) = (after - here, here - before);
-    let (twice, bend) = ((rise + fall).to_bits() as i64, (rise - fall).to_bits() as i64);
+    // after - 2 here + before, as far as 4 bits more fit.
+    let bend = (rise - fall).limit(Um::from_bits(-(1 << 27)), Um::from_bits((1 << 27) - 1));
     Motion {
         position: here,
-        // (after - before) / 2 ticks = 5 (after - before) per ms
-        velocity: UmPerMs::from_bits(saturate(twice * 5)),
-        // (after - 2 here + before) per tick^2 = 100 times that per ms^2
-        acceleration: UmPerMs2::from_bits(saturate(bend * 100)),
+        velocity: UmPer2Ticks::from_bits((rise + fall).to_bits()),
+        acceleration: UmPer4Ticks2::from_bits(bend.to_bits() << 4),
     }
 }
 

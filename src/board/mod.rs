@@ -29,6 +29,7 @@ pub mod device;
 pub mod flash;
 pub mod outputs;
 pub mod priorities;
+pub mod records;
 pub mod stack;
 pub mod tasks;
 pub mod tick;

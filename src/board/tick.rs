@@ -7,45 +7,32 @@
 //! buffers and three single-producer, single-consumer queues with the rest of the program; it calls
 //! nothing outside CCM, which `cargo xtask firmware` proves from the image.
 //!
-//! Configurations are double-buffered: a task writes the one that is not in use and exchanges the index. The tick cannot be in the
+//! Configurations are double-buffered: a task writes the one that is not in use and exchanges the pointer. The tick cannot be in the
 //! middle of anything while a task runs, so the next tick sees the new one whole. The waveform table is only written while the
-//! loop is open, and the tick is given an empty one from the first write until the table is put into use.
+//! loop is open, and the tick is given none from the first write until the table is put into use.
 //!
 //! # Limits
 //! A missing sample of a converter is replaced by its last one for [`CONVERTER_PATIENCE`] ticks, then it is a fault.
 
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
-use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, Ordering};
 
 use embassy_stm32::interrupt;
 use heapless::spsc::{Consumer, Producer, Queue};
 use static_cell::StaticCell;
 
 use super::timebase::TICK_CYCLES;
-use super::{converters, crash, outputs, timebase};
+use super::{converters, crash, outputs, records, timebase};
 use crate::link::message::{HISTOGRAM_BIN_CYCLES, HISTOGRAM_BINS};
 use crate::{AXES, Command, Config, Controller, Faults, Flags, Record, Refusal, Sample, Table};
 
 /// Orders to the tick, and answers, that may wait.
 const ORDERS: usize = 4;
-/// Records between the tick and the pump, which empties the queue every millisecond.
-pub const RECORDS: usize = 64;
 /// Ticks for which a converter may deliver nothing.
 const CONVERTER_PATIENCE: u32 = 5;
 /// Ticks without a sign of life from the tasks until the drives are returned: 250 ms, well before the watchdog bites.
 const TASK_PATIENCE: u32 = 2_500;
-
-/// One tick, for the stream.
-#[derive(Clone, Copy)]
-pub struct Entry {
-    /// What the controller decided.
-    pub record: Record,
-    /// Gauge codes.
-    pub gauge: [u16; AXES],
-    /// Core cycles from the interrupt's entry until here.
-    pub cycles: u16,
-}
 
 /// What the tasks ask of the tick.
 #[derive(Clone, Copy)]
@@ -62,7 +49,7 @@ pub type Answer = Result<u32, Refusal>;
 /// The tasks' ends of the queues.
 pub struct Ends {
     /// Records of every tick.
-    pub records: Consumer<'static, Entry>,
+    pub records: records::Consumer,
     /// Orders to the tick.
     pub orders: Producer<'static, Order>,
     /// Answers of the tick.
@@ -71,7 +58,7 @@ pub struct Ends {
 
 struct State {
     controller: Controller,
-    records: Producer<'static, Entry>,
+    records: records::Producer,
     orders: Consumer<'static, Order>,
     answers: Producer<'static, Answer>,
     codes: converters::Codes,
@@ -100,10 +87,10 @@ static STATE: Shared<State> = Shared::new();
 static CONFIGS: [Shared<Config>; 2] = [Shared::new(), Shared::new()];
 #[unsafe(link_section = ".ccm_bss")]
 static TABLE: Shared<Table> = Shared::new();
-static CONFIG: AtomicU32 = AtomicU32::new(0);
+/// The one of them that is in use. A pointer, not an index: with an index the compiler knows both addresses, and chooses between them at
+/// each access to a field instead of once.
+static CONFIG: AtomicPtr<Config> = AtomicPtr::new(core::ptr::null_mut());
 static HAS_TABLE: AtomicBool = AtomicBool::new(false);
-/// What the tick gets while the table is out of use.
-static NO_TABLE: Table = Table::EMPTY;
 
 /// Ticks since start.
 pub static TICKS: AtomicU32 = AtomicU32::new(0);
@@ -125,10 +112,10 @@ pub static HEARTBEAT: AtomicU32 = AtomicU32::new(0);
 
 /// Sets up what the tick needs. Once, before its interrupt is enabled.
 pub fn init(config: Config, faults: Faults) -> Ends {
-    static RECORD_QUEUE: StaticCell<Queue<Entry, RECORDS>> = StaticCell::new();
     static ORDER_QUEUE: StaticCell<Queue<Order, ORDERS>> = StaticCell::new();
     static ANSWER_QUEUE: StaticCell<Queue<Answer, ORDERS>> = StaticCell::new();
-    let (records_in, records) = RECORD_QUEUE.init_with(Queue::new).split();
+    // SAFETY: start-up calls this once.
+    let (records_in, records) = unsafe { records::split() };
     let (orders, orders_out) = ORDER_QUEUE.init_with(Queue::new).split();
     let (answers_in, answers) = ANSWER_QUEUE.init_with(Queue::new).split();
     let mut controller = Controller::new();
@@ -150,6 +137,7 @@ pub fn init(config: Config, faults: Faults) -> Ends {
         STATE.get().write(state);
         for cell in &CONFIGS {
             cell.get().write(config.clone());
+            CONFIG.store(cell.get(), Ordering::Release);
         }
         TABLE.get().write_bytes(0, 1);
     }
@@ -158,12 +146,12 @@ pub fn init(config: Config, faults: Faults) -> Ends {
 
 /// Puts a configuration into effect at the next tick. Called by one task only.
 pub fn exchange_config(config: &Config) {
-    let next = 1 - (CONFIG.load(Ordering::Relaxed) & 1);
-    if let Some(cell) = CONFIGS.get(next as usize) {
-        // SAFETY: the tick reads only the other one until the index changes, and one task calls this.
-        unsafe { (*cell.get()).clone_from(config) };
-        CONFIG.store(next, Ordering::Release);
-    }
+    let [first, second] = &CONFIGS;
+    let in_use = CONFIG.load(Ordering::Relaxed);
+    let next = if in_use == first.get() { second.get() } else { first.get() };
+    // SAFETY: the tick reads only the other one until the pointer changes, and one task calls this.
+    unsafe { (*next).clone_from(config) };
+    CONFIG.store(next, Ordering::Release);
 }
 
 /// Changes the table, which is out of use until [`use_table`]. Called by one task only.
@@ -190,13 +178,12 @@ unsafe fn ADC3() {
     let entered = timebase::cycles();
     // SAFETY: `init` has run before the interrupt was enabled, and only this handler uses the state.
     let state = unsafe { &mut *STATE.get() };
-    // SAFETY: tasks write only the buffer that is not in use, and none can run while this handler does.
-    let config = unsafe {
-        &*if CONFIG.load(Ordering::Acquire) == 0 { CONFIGS[0].get() } else { CONFIGS[1].get() }
-    };
+    // SAFETY: `init` has stored a pointer; tasks write only the configuration that is not in use, and none can run while this
+    // handler does.
+    let config = unsafe { &*CONFIG.load(Ordering::Acquire) };
     // SAFETY: no task changes the table while the flag is up.
     let table =
-        if HAS_TABLE.load(Ordering::Acquire) { unsafe { &*TABLE.get() } } else { &NO_TABLE };
+        if HAS_TABLE.load(Ordering::Acquire) { Some(unsafe { &*TABLE.get() }) } else { None };
     timebase::clear_trigger();
     let missing = converters::take(&mut state.codes);
 
@@ -225,19 +212,26 @@ unsafe fn ADC3() {
         monitor: monitor.map(i32::from),
         overrun: missed || state.was_late,
     };
-    let record = state.controller.tick(config, table, &sample);
+    let place = state.records.place();
+    // SAFETY: the place is the tick's own until it is published; a record is integers, of which any bits will do. Gauges and cycles are
+    // written below.
+    let record: &mut Record = unsafe { &mut (*place).record };
+    state.controller.tick_into(config, table, &sample, record);
     let [a, b, c] = &record.axes;
     outputs::write([a.dac, b.dac, c.dac]);
+    FLAGS.store(record.flags.0, Ordering::Relaxed);
     // A trigger since the entry means that the outputs were written too late for it.
     state.was_late = timebase::has_triggered();
 
     let cycles = timebase::cycles().wrapping_sub(entered);
     // SAFETY: as above.
-    unsafe { core::hint::assert_unchecked(state.records.capacity() == RECORDS - 1) };
-    if state.records.enqueue(Entry { record, gauge, cycles: cycles.min(0xffff) as u16 }).is_err() {
+    unsafe {
+        (*place).gauge = gauge;
+        (*place).cycles = cycles.min(0xffff) as u16;
+    }
+    if !state.records.publish() {
         bump(&LOST_RECORDS, 1);
     }
-    FLAGS.store(record.flags.0, Ordering::Relaxed);
     bump(&TICKS, 1);
     account(timebase::cycles().wrapping_sub(entered), state.was_late);
 }

@@ -27,11 +27,11 @@ use embassy_usb::msos::{
     CompatibleIdFeatureDescriptor, PropertyData, RegistryPropertyFeatureDescriptor, windows_version,
 };
 use embassy_usb::{Builder, Config, Handler};
-use heapless::spsc::Consumer;
 use static_cell::StaticCell;
 
 use super::device::{self, Board};
-use super::tick::{self, Entry};
+use super::records::{Consumer, Entry, RECORDS};
+use super::tick;
 use crate::link::session::Session;
 use crate::link::{
     Deframer, MAX_FRAME, Sample, StreamWriter, USB_ENDPOINT_IN, USB_ENDPOINT_OUT, USB_MANUFACTURER,
@@ -105,7 +105,7 @@ pub async fn run(
     peripheral: Peri<'static, USB>,
     dp: Peri<'static, PA12>,
     dm: Peri<'static, PA11>,
-    records: Consumer<'static, Entry>,
+    records: Consumer,
     board: Board,
 ) {
     static CONFIG_DESCRIPTOR: StaticCell<[u8; 64]> = StaticCell::new();
@@ -180,10 +180,7 @@ fn config() -> Config<'static> {
 }
 
 /// Records to frames.
-async fn pump(
-    mut records: Consumer<'static, Entry>,
-    mut ring: Sender<'static, NoopRawMutex, StreamFrame>,
-) {
+async fn pump(mut records: Consumer, mut ring: Sender<'static, NoopRawMutex, StreamFrame>) {
     let mut packer = Packer { sequence: 0, tick_high: 0, tick_low: 0, lost_before: 0 };
     let mut ticker = Ticker::every(Duration::from_millis(1));
     loop {
@@ -192,7 +189,7 @@ async fn pump(
             // The frame is filled in place, over as many milliseconds as it takes.
             let Some(frame) = ring.try_send() else {
                 // Full is full: the records wait in their queue, but for the ones that the next millisecond needs.
-                packer.drop_all_but(&mut records, tick::RECORDS - 16);
+                packer.drop_all_but(&mut records, RECORDS - 16);
                 breathe(&mut ticker).await;
                 continue;
             };
@@ -205,7 +202,7 @@ async fn pump(
                 if !writer.push(&packer.sample(entry)) {
                     break;
                 }
-                records.dequeue();
+                records.drop_oldest();
             }
             if writer.count() > 0
                 && let Ok(length) = writer.finish(packer.sequence, packer.dropped())
@@ -253,8 +250,8 @@ impl Packer {
         dropped
     }
 
-    fn drop_all_but(&mut self, records: &mut Consumer<'static, Entry>, keep: usize) {
-        while records.len() > keep && records.dequeue().is_some() {
+    fn drop_all_but(&mut self, records: &mut Consumer, keep: usize) {
+        while records.len() > keep && records.drop_oldest() {
             DROPPED.store(DROPPED.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
         }
     }

@@ -22,9 +22,15 @@ pub struct Args {
     /// Serve the board's USB endpoints here (HOST:PORT or unix:/PATH) for `flexstage view | record | probe`.
     #[arg(long, value_name = "ADDRESS")]
     listen: Option<String>,
-    /// More options for the emulator, after `--`: `-- --help` lists them.
-    #[arg(last = true)]
-    more: Vec<String>,
+    /// The rig on the board: a TOML file (with any effect in it that should be there) or the name of a built-in one.
+    #[arg(long, value_name = "FILE", default_value = "handley")]
+    rig: String,
+    /// Emulated seconds in a second of wall clock, or "max".
+    #[arg(long, default_value = "1")]
+    speed: String,
+    /// Seed of the rig's noise.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
 }
 
 /// Builds the image unless one is given, then runs the emulator.
@@ -43,13 +49,20 @@ pub fn run(args: &Args) -> Result<()> {
     if let Some(folder) = libclang {
         run = run.env("LIBCLANG_PATH", folder);
     }
+    // A file is named as seen from where the command was given, not from the workspace.
+    let rig = match std::path::absolute(&args.rig) {
+        Ok(path) if path.is_file() => path.into_os_string(),
+        _ => args.rig.clone().into(),
+    };
+    let (speed, seed) = (&args.speed, args.seed.to_string());
+    run = run.arg("--rig").arg(rig).args(["--speed", speed, "--seed", &seed]);
     if let Some(seconds) = args.seconds {
         run = run.arg("--seconds").arg(seconds.to_string());
     }
     if let Some(listen) = &args.listen {
         run = run.arg("--listen").arg(listen);
     }
-    run.args(&args.more).run()?;
+    run.run()?;
     Ok(())
 }
 

@@ -7,24 +7,26 @@
 //! wait states, bus contention or the pipeline.
 
 pub mod exception;
+mod hooks;
 pub mod image;
+mod inject;
+mod map;
 pub mod memory;
 pub mod profile;
 
 use std::rc::Rc;
 
 use anyhow::{Context, Result, anyhow, bail};
-use unicorn_engine::unicorn_const::{
-    Arch, HookType, MemType, Mode, Prot, TlbEntry, TlbType, uc_error,
-};
+use unicorn_engine::unicorn_const::{Arch, Mode, Prot, uc_error};
 use unicorn_engine::{RegisterARM as R, Unicorn};
 
 use crate::periph::nvic::exception as number;
-use crate::periph::{Analog, ResetCause, Soc, flash};
+use crate::periph::{Analog, ResetCause, Soc};
 use crate::rtt::Rtt;
-use crate::time::{MICROSECOND, MILLISECOND, NEVER, Time};
+use crate::time::{MILLISECOND, NEVER, Time};
 use exception::{get, set};
-use image::{FLASH, Image, is_wide};
+use hooks::{Lengths, due};
+use image::{FLASH, Image};
 use memory::Memory;
 use profile::Profile;
 
@@ -76,45 +78,6 @@ pub struct Core {
     stop: Stop,
     lengths: Lengths,
     bad_address: Option<u32>,
-}
-
-/// Instructions in a block, decoded once for each block.
-struct Lengths {
-    regions: [(u32, Memory, Vec<u32>); 3],
-}
-
-impl Lengths {
-    fn new(flash: &Memory, ccm: &Memory, sram: &Memory) -> Lengths {
-        let region = |base: u32, m: &Memory| (base, m.clone(), vec![0; m.len() / 2]);
-        Lengths { regions: [region(FLASH, flash), region(CCM, ccm), region(SRAM, sram)] }
-    }
-
-    fn forget_ram(&mut self) {
-        for r in &mut self.regions[1..] {
-            r.2.fill(0);
-        }
-    }
-
-    #[inline]
-    fn count(&mut self, address: u32, size: u32) -> u64 {
-        for (base, memory, cache) in &mut self.regions {
-            let offset = address.wrapping_sub(*base) as usize;
-            if offset < memory.len() {
-                let known = cache[offset / 2];
-                if known >> 16 == size {
-                    return (known & 0xffff) as u64;
-                }
-                let (mut at, mut n) = (offset, 0);
-                while at < offset + size as usize {
-                    at += if is_wide(memory.u16(at)) { 4 } else { 2 };
-                    n += 1;
-                }
-                cache[offset / 2] = size << 16 | n;
-                return n as u64;
-            }
-        }
-        (size / 2) as u64
-    }
 }
 
 /// A powered board: chip, plant and host.
@@ -195,141 +158,6 @@ impl Machine {
         };
         m.power_on(None);
         Ok(m)
-    }
-
-    fn fill_system_memory(system: &Memory, soc: &Soc) {
-        system.fill(0xff);
-        let word = |at: usize, v: u32| system.write(at, &v.to_le_bytes());
-        // Boot loader: a vector table and a loop; entering it ends the run.
-        word(0, 0x2000_2000);
-        word(4, SYSTEM_MEMORY + 0x101);
-        system.set_u16(0x100, 0xe7fe);
-        for (i, w) in soc.uid().into_iter().enumerate() {
-            word(0x7590 + 4 * i, w);
-        }
-        // Flash size in KiB; TS_CAL1, VREFINT and TS_CAL2 at 3.0 V (DS12288 3.18).
-        system.set_u16(0x75e0, 512);
-        system.set_u16(0x75a8, 1037);
-        system.set_u16(0x75aa, 1654);
-        system.set_u16(0x75ca, 1378);
-    }
-
-    fn map_registers(u: &mut Unicorn<'static, Core>) -> Result<()> {
-        let regions: [(u32, u32); 6] = [
-            (0x4000_0000, 0x6000),
-            (0x4000_7000, 0x2_9000),
-            (0x4800_0000, 0x2000),
-            (0x5000_0000, 0x2000),
-            (0x5006_0000, 0x1000),
-            (0xe000_0000, 0x10_0000),
-        ];
-        for (base, size) in regions {
-            let read = move |u: &mut Unicorn<'_, Core>, offset: u64, size: usize| {
-                u.get_data_mut().soc.read(base + offset as u32, size) as u64
-            };
-            let write = move |u: &mut Unicorn<'_, Core>, offset: u64, size: usize, value: u64| {
-                u.get_data_mut().soc.write(base + offset as u32, size, value as u32);
-            };
-            uc("map registers", u.mmio_map(base as u64, size as u64, Some(read), Some(write)))?;
-        }
-        let read = |u: &mut Unicorn<'_, Core>, offset: u64, size: usize| {
-            u.get_data_mut().soc.flash_load(offset as u32, size) as u64
-        };
-        let write = |u: &mut Unicorn<'_, Core>, offset: u64, size: usize, value: u64| {
-            u.get_data_mut().soc.flash_store(offset as u32, size, value as u32);
-        };
-        uc(
-            "map bank 2",
-            u.mmio_map(flash::BANK2 as u64, flash::BANK2_BYTES as u64, Some(read), Some(write)),
-        )
-    }
-
-    /// Address translation: every address is itself. Its point is that pages without code are not executable: unicorn
-    /// sends every store to a page that may hold code the slow way.
-    fn add_tlb(u: &mut Unicorn<'static, Core>, image: &Rc<Image>) -> Result<()> {
-        uc("tlb type", u.ctl_set_tlb_type(TlbType::VIRTUAL))?;
-        let image = image.clone();
-        let translate = move |_: &mut Unicorn<'_, Core>, at: u64, _: MemType| {
-            let ram = (CCM as u64..CCM as u64 + CCM_BYTES as u64).contains(&at)
-                || (SRAM as u64..0x2002_0000).contains(&at);
-            let data = ram && !image.runs_code(at as u32, 4096);
-            let perms = if data { Prot(Prot::READ.0 | Prot::WRITE.0) } else { Prot::ALL };
-            Some(TlbEntry { paddr: at, perms })
-        };
-        uc("tlb hook", u.add_tlb_hook(0, u64::MAX, translate))?;
-        Ok(())
-    }
-
-    fn add_hooks(u: &mut Unicorn<'static, Core>, image: &Image) -> Result<()> {
-        let block = |u: &mut Unicorn<'_, Core>, address: u64, size: u32| {
-            let core = u.get_data_mut();
-            let soc = &mut core.soc;
-            if soc.now >= soc.deadline {
-                soc.sync();
-            }
-            if soc.attention {
-                let out =
-                    soc.wants_out() || soc.nvic.next_exception(crate::periph::nvic::IDLE).is_some();
-                if out && (core.soc.wants_out() || due(u).is_some()) {
-                    u.get_data_mut().stop = Stop::Attention;
-                    let _ = u.emu_stop();
-                    return;
-                }
-            }
-            let core = u.get_data_mut();
-            let address = address as u32;
-            if address >> 16 == SYSTEM_MEMORY >> 16 {
-                core.stop = Stop::Bootloader;
-                let _ = u.emu_stop();
-                return;
-            }
-            let n = core.lengths.count(address, size);
-            core.soc.instructions += n;
-            core.soc.now += n * core.soc.insn_unit;
-            if core.profile.watching() {
-                *core.profile.blocks.entry((address, size)).or_insert(0) += 1;
-            }
-        };
-        uc("block hook", u.add_block_hook(FLASH as u64, 0x2002_0000, block))?;
-        let interrupt = |u: &mut Unicorn<'_, Core>, n: u32| {
-            u.get_data_mut().stop = match n {
-                8 => Stop::ExceptionReturn,
-                7 => Stop::Breakpoint,
-                2 => Stop::Supervisor,
-                _ => Stop::Prefetch,
-            };
-            let _ = u.emu_stop();
-        };
-        uc("interrupt hook", u.add_intr_hook(interrupt))?;
-        // Not over RAM: unicorn sends every store to a hooked page the slow way.
-        for (first, last) in
-            [(0, CCM - 1), (CCM + CCM_BYTES as u32, SRAM - 1), (0x2002_0000, u32::MAX)]
-        {
-            let invalid =
-                |u: &mut Unicorn<'_, Core>, _: MemType, address: u64, _: usize, _: i64| {
-                    u.get_data_mut().bad_address = Some(address as u32);
-                    false
-                };
-            uc(
-                "memory hook",
-                u.add_mem_hook(HookType::MEM_INVALID, first as u64, last as u64, invalid),
-            )?;
-        }
-        for (op, stop) in [(0xbf20, Stop::WaitForEvent), (0xbf30, Stop::WaitForInterrupt)] {
-            for at in image.hints(op) {
-                let wait = move |u: &mut Unicorn<'_, Core>, _: u64, _: u32| {
-                    u.get_data_mut().stop = stop;
-                    let _ = u.emu_stop();
-                };
-                uc("wait hook", u.add_code_hook(at as u64, at as u64, wait))?;
-            }
-        }
-        for at in image.hints(0xbf40) {
-            let send =
-                |u: &mut Unicorn<'_, Core>, _: u64, _: u32| u.get_data_mut().soc.nvic.event = true;
-            uc("event hook", u.add_code_hook(at as u64, at as u64, send))?;
-        }
-        Ok(())
     }
 
     /// The chip and everything around it.
@@ -588,27 +416,6 @@ impl Machine {
         }
     }
 
-    /// Fault injection: sends the core, once it is in thread mode, to another address.
-    pub fn derail(&mut self, pc: u32) -> Result<()> {
-        for _ in 0..10_000 {
-            if self.soc().ipsr == 0 {
-                set(&mut self.uc, R::PC, pc | 1);
-                return Ok(());
-            }
-            self.run_for(10 * MICROSECOND)?;
-        }
-        bail!("the core never reached thread mode")
-    }
-
-    /// Fault injection: the core spins for ever with interrupts masked, as after a runaway pointer into a wait loop.
-    pub fn derail_into_loop(&mut self) -> Result<()> {
-        // `b .` in the last half-word of flash bank 1, which no image uses.
-        let last = FLASH_BYTES - 2;
-        self.flash.set_u16(last, 0xe7fe);
-        set(&mut self.uc, R::PRIMASK, 1);
-        self.derail(FLASH + last as u32)
-    }
-
     /// Where the core is.
     pub fn location(&self) -> String {
         self.place(get(&self.uc, R::PC) & !1)
@@ -643,19 +450,4 @@ impl Machine {
         let untouched = if words > 1 { 4 * words } else { 0 };
         Some((room - untouched, room))
     }
-}
-
-/// The exception to take now, with PRIMASK, FAULTMASK and BASEPRI.
-fn due(u: &Unicorn<'_, Core>) -> Option<u32> {
-    let mask = if get(u, R::FAULTMASK) & 1 != 0 {
-        -1
-    } else if get(u, R::PRIMASK) & 1 != 0 {
-        0
-    } else {
-        match get(u, R::BASEPRI) & 0xf0 {
-            0 => crate::periph::nvic::IDLE,
-            b => b as i16,
-        }
-    };
-    u.get_data().soc.nvic.next_exception(mask)
 }

@@ -6,8 +6,9 @@
 
 use std::collections::{HashMap, VecDeque};
 
-use super::bus::{Completion, Host, Pipe, Status};
+use super::bus::Host;
 use super::descriptors::Device;
+use super::transfer::{Completion, Pipe, Status};
 use crate::periph::usb::Usb;
 use crate::time::{MILLISECOND, NEVER, Time};
 

@@ -6,7 +6,9 @@
 pub mod bus;
 pub mod descriptors;
 pub mod enumerate;
+pub mod transfer;
 
-pub use bus::{Completion, Host, Pipe, Status};
+pub use bus::Host;
 pub use descriptors::Device;
 pub use enumerate::Stack;
+pub use transfer::{Completion, Pipe, Status};

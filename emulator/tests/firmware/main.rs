@@ -10,5 +10,6 @@ mod faults;
 mod flash;
 mod hostile;
 mod identity;
+mod socket;
 mod stream;
 mod usb;

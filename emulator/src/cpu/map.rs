@@ -1,0 +1,77 @@
+//! The memory map (RM0440 2.2): what lies where, and who answers.
+
+use std::rc::Rc;
+
+use anyhow::Result;
+use unicorn_engine::Unicorn;
+use unicorn_engine::unicorn_const::{MemType, Prot, TlbEntry, TlbType};
+
+use super::image::Image;
+use super::memory::Memory;
+use super::{CCM, CCM_BYTES, Core, Machine, SRAM, SYSTEM_MEMORY, uc};
+use crate::periph::{Soc, flash};
+
+impl Machine {
+    pub(super) fn fill_system_memory(system: &Memory, soc: &Soc) {
+        system.fill(0xff);
+        let word = |at: usize, v: u32| system.write(at, &v.to_le_bytes());
+        // Boot loader: a vector table and a loop; entering it ends the run.
+        word(0, 0x2000_2000);
+        word(4, SYSTEM_MEMORY + 0x101);
+        system.set_u16(0x100, 0xe7fe);
+        for (i, w) in soc.uid().into_iter().enumerate() {
+            word(0x7590 + 4 * i, w);
+        }
+        // Flash size in KiB; TS_CAL1, VREFINT and TS_CAL2 at 3.0 V (DS12288 3.18).
+        system.set_u16(0x75e0, 512);
+        system.set_u16(0x75a8, 1037);
+        system.set_u16(0x75aa, 1654);
+        system.set_u16(0x75ca, 1378);
+    }
+
+    pub(super) fn map_registers(u: &mut Unicorn<'static, Core>) -> Result<()> {
+        let regions: [(u32, u32); 6] = [
+            (0x4000_0000, 0x6000),
+            (0x4000_7000, 0x2_9000),
+            (0x4800_0000, 0x2000),
+            (0x5000_0000, 0x2000),
+            (0x5006_0000, 0x1000),
+            (0xe000_0000, 0x10_0000),
+        ];
+        for (base, size) in regions {
+            let read = move |u: &mut Unicorn<'_, Core>, offset: u64, size: usize| {
+                u.get_data_mut().soc.read(base + offset as u32, size) as u64
+            };
+            let write = move |u: &mut Unicorn<'_, Core>, offset: u64, size: usize, value: u64| {
+                u.get_data_mut().soc.write(base + offset as u32, size, value as u32);
+            };
+            uc("map registers", u.mmio_map(base as u64, size as u64, Some(read), Some(write)))?;
+        }
+        let read = |u: &mut Unicorn<'_, Core>, offset: u64, size: usize| {
+            u.get_data_mut().soc.flash_load(offset as u32, size) as u64
+        };
+        let write = |u: &mut Unicorn<'_, Core>, offset: u64, size: usize, value: u64| {
+            u.get_data_mut().soc.flash_store(offset as u32, size, value as u32);
+        };
+        uc(
+            "map bank 2",
+            u.mmio_map(flash::BANK2 as u64, flash::BANK2_BYTES as u64, Some(read), Some(write)),
+        )
+    }
+
+    /// Address translation: every address is itself. Its point is that pages without code are not executable: unicorn
+    /// sends every store to a page that may hold code the slow way.
+    pub(super) fn add_tlb(u: &mut Unicorn<'static, Core>, image: &Rc<Image>) -> Result<()> {
+        uc("tlb type", u.ctl_set_tlb_type(TlbType::VIRTUAL))?;
+        let image = image.clone();
+        let translate = move |_: &mut Unicorn<'_, Core>, at: u64, _: MemType| {
+            let ram = (CCM as u64..CCM as u64 + CCM_BYTES as u64).contains(&at)
+                || (SRAM as u64..0x2002_0000).contains(&at);
+            let data = ram && !image.runs_code(at as u32, 4096);
+            let perms = if data { Prot(Prot::READ.0 | Prot::WRITE.0) } else { Prot::ALL };
+            Some(TlbEntry { paddr: at, perms })
+        };
+        uc("tlb hook", u.add_tlb_hook(0, u64::MAX, translate))?;
+        Ok(())
+    }
+}

@@ -1,0 +1,134 @@
+//! One transaction at a time: token, data, handshake, and what it means for its transfer (USB 2.0 8.5).
+
+use super::{Host, MAX_PACKET};
+use crate::periph::usb::{Handshake, Usb};
+use crate::time::Time;
+use crate::usb_host::transfer::{Completion, Pipe, Stage, Status};
+
+impl Host {
+    fn toggle(&mut self, pipe: Pipe) -> &mut bool {
+        if let Some(i) = self.toggles.iter().position(|t| t.0 == pipe) {
+            return &mut self.toggles[i].1;
+        }
+        self.toggles.push((pipe, false));
+        &mut self.toggles.last_mut().expect("just pushed").1
+    }
+
+    /// Bulk data toggles start over (SET_CONFIGURATION, CLEAR_FEATURE endpoint halt).
+    pub fn reset_toggles(&mut self) {
+        self.toggles.clear();
+    }
+
+    pub(super) fn transact(&mut self, index: usize, now: Time, device: &mut Usb) {
+        self.bus_free = now;
+        let address = self.address;
+        let pipe = self.queues[index].0;
+        let bulk_toggle = if pipe == Pipe::Control { false } else { *self.toggle(pipe) };
+        let Some(t) = self.queues[index].1.front_mut() else { return };
+        let endpoint = match pipe {
+            Pipe::Control => 0,
+            Pipe::In(e) | Pipe::Out(e) => e as usize,
+        };
+        let toggle = if pipe == Pipe::Control { t.toggle } else { bulk_toggle };
+        let mut flipped = false;
+        let mut ended = None;
+        let silent = match t.stage {
+            Stage::Setup => match device.setup(address, &t.setup) {
+                Handshake::Ack(()) => {
+                    t.toggle = true;
+                    t.stage = match (t.setup[0] & 0x80 != 0, t.want) {
+                        (_, 0) => Stage::StatusIn,
+                        (true, _) => Stage::DataIn,
+                        (false, _) => Stage::DataOut,
+                    };
+                    false
+                }
+                answer => answer == Handshake::Silent,
+            },
+            Stage::DataOut => {
+                let packet = &t.data[t.sent..t.want.min(t.data.len()).min(t.sent + MAX_PACKET)];
+                match device.out(address, endpoint, toggle, packet) {
+                    Handshake::Ack(()) => {
+                        self.packets += 1;
+                        let whole = packet.len() == MAX_PACKET;
+                        t.sent += packet.len();
+                        t.toggle = !t.toggle;
+                        flipped = true;
+                        if t.sent >= t.want {
+                            if t.pipe == Pipe::Control {
+                                t.stage = Stage::StatusIn;
+                                t.toggle = true;
+                            } else if !t.zlp || !whole {
+                                ended = Some(Status::Done);
+                            }
+                        }
+                        false
+                    }
+                    Handshake::Stall => {
+                        ended = Some(Status::Stall);
+                        false
+                    }
+                    answer => answer == Handshake::Silent,
+                }
+            }
+            Stage::DataIn | Stage::StatusIn => match device.token_in(address, endpoint) {
+                Handshake::Ack((sent, data)) => {
+                    self.packets += 1;
+                    if sent != toggle {
+                        self.repeats += 1;
+                    } else {
+                        let short = data.len() < MAX_PACKET;
+                        t.toggle = !t.toggle;
+                        flipped = true;
+                        t.data.extend(data);
+                        match (t.stage, t.pipe) {
+                            (Stage::StatusIn, _) => ended = Some(Status::Done),
+                            (_, Pipe::Control) if short || t.data.len() >= t.want => {
+                                t.stage = Stage::StatusOut;
+                                t.toggle = true;
+                            }
+                            (_, Pipe::In(_)) if short || t.data.len() >= t.want => {
+                                ended = Some(Status::Done)
+                            }
+                            _ => {}
+                        }
+                    }
+                    false
+                }
+                Handshake::Stall => {
+                    ended = Some(Status::Stall);
+                    false
+                }
+                answer => answer == Handshake::Silent,
+            },
+            Stage::StatusOut => match device.out(address, 0, true, &[]) {
+                Handshake::Ack(()) => {
+                    ended = Some(Status::Done);
+                    false
+                }
+                Handshake::Stall => {
+                    ended = Some(Status::Stall);
+                    false
+                }
+                answer => answer == Handshake::Silent,
+            },
+        };
+        t.silent = if silent { t.silent + 1 } else { 0 };
+        if t.silent >= 3 {
+            ended = Some(Status::Gone);
+        }
+        if flipped && pipe != Pipe::Control {
+            *self.toggle(pipe) ^= true;
+        }
+        if let Some(status) = ended {
+            let t = self.queues[index].1.pop_front().expect("front");
+            self.completions.push_back(Completion {
+                id: t.id,
+                pipe,
+                status,
+                data: t.data,
+                at: now,
+            });
+        }
+    }
+}
