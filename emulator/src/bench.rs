@@ -149,7 +149,11 @@ impl Bench {
     /// As [`Bench::ask`]; a refusal is an error.
     pub fn command(&mut self, command: &Command) -> Result<Reply> {
         match self.ask(command)? {
-            Reply::Refused(why) => bail!("{command:?} was refused: {why}"),
+            Reply::Refused(why) => bail!(
+                "{command:?} was refused: {why}; resets so far: {:?}; log:\n{}",
+                self.machine.resets,
+                self.log_tail(6)
+            ),
             reply => Ok(reply),
         }
     }

@@ -55,6 +55,14 @@ fn profile(b: &mut Bench, what: &str) -> u64 {
     );
     let loader = addr2line::Loader::new(&b.machine.image().path).expect("debug information");
     let blocks = b.machine.profile().blocks.clone();
+    if let Some(path) = std::env::var_os("FLEXSTAGE_BLOCKS") {
+        // Start, bytes and executions of every block, for a look at the disassembly beside it.
+        let mut rows: Vec<_> = blocks.iter().collect();
+        rows.sort();
+        let text: String =
+            rows.iter().map(|((at, size), n)| format!("{at:08x} {size} {n}\n")).collect();
+        std::fs::write(path, text).unwrap();
+    }
     let mut by_stage: BTreeMap<String, f64> = BTreeMap::new();
     let mut by_function: BTreeMap<String, f64> = BTreeMap::new();
     for ((address, size), times) in blocks {
