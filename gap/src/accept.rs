@@ -34,19 +34,7 @@ pub fn gaps(scene: &Scene, stack: &Stack) -> Vec<AxisGapSize> {
     let mut worst = vec![0.0_f64; axes];
     for (c, channel) in scene.channels.iter().enumerate() {
         let Some(row) = &stack[c] else { continue };
-        let own = channel.excess(row);
-        let floor: f64 = channel
-            .unrepeatable
-            .iter()
-            .enumerate()
-            .map(|(l, v)| v * channel.levels.range(l).len() as f64)
-            .sum();
-        let spread: f64 = channel
-            .unrepeatable
-            .iter()
-            .enumerate()
-            .map(|(l, v)| 2.0 * v * v * channel.levels.range(l).len() as f64)
-            .sum();
+        let (own, floor, spread) = channel.excess_of(row);
         let significant = own > SIGNIFICANT * spread.sqrt();
         if significant {
             worst[channel.axis] = worst[channel.axis].max(own / floor / CHANNEL_EXCESS);
@@ -64,6 +52,29 @@ pub fn gaps(scene: &Scene, stack: &Stack) -> Vec<AxisGapSize> {
             AxisGapSize { ratio, counts: whole || worst[axis] > 1.0 }
         })
         .collect()
+}
+
+/// Bit mask of the axes where something may be missing: far looser than [`gaps`], since it only saves work. The noise is known to
+/// about half a per cent.
+pub fn loud_axes(scene: &Scene, stack: &Stack) -> u32 {
+    let axes = scene.position_noise.len();
+    let mut sums = vec![(0.0, 0.0, 0.0); axes];
+    let mut mask = 0;
+    for (c, channel) in scene.channels.iter().enumerate() {
+        let Some(row) = &stack[c] else { continue };
+        let (own, floor, spread) = channel.excess_of(row);
+        let sum = &mut sums[channel.axis];
+        *sum = (sum.0 + own, sum.1 + floor, sum.2 + spread);
+        if own > (4.0 * spread.sqrt()).max(0.03 * floor) {
+            mask |= 1 << channel.axis;
+        }
+    }
+    for (axis, &(own, floor, spread)) in sums.iter().enumerate() {
+        if own > (3.0 * spread.sqrt()).max(0.01 * floor) {
+            mask |= 1 << axis;
+        }
+    }
+    mask
 }
 
 /// What is left of the gap of each axis, as a share, over the channels of `energies`.

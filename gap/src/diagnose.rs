@@ -194,7 +194,7 @@ fn search(
             .flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p, ranges)))
             .collect();
         let effort = Effort { iterations: 4, ..Effort::default() };
-        let fit = crate::fit::fit(scene, rig, knobs, start.concat(), effort, &all)?;
+        let fit = crate::fit::fit(scene, rig, knobs, start.concat(), effort, None, &all)?;
         Model { terms, fit, ranges: ranges.clone() }
     };
     Ok(Some(Found { model, whole, rivals, confidence, next, tried, missed, changed: false }))

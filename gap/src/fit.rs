@@ -4,6 +4,7 @@
 //! channels do not overlap share one simulation per finite difference: three axes cost as much as one. That is why the dense solver of the
 //! `levenberg-marquardt` crate (one column a knob, one simulation a column) is not used here. Marquardt 1963; bounds by projection.
 
+use host_sim::effects::Place;
 use host_sim::rig::Rig;
 use nalgebra::{DMatrix, DVector};
 
@@ -198,19 +199,55 @@ impl Sensitivities {
     }
 }
 
-/// Fit `knobs`, starting at `start`, to the channels that `include` lets through.
+/// Channels that any of the knobs can change. A coupling carries what happens on one axis to others.
+fn reach(base: &Rig, knobs: &[Knob]) -> Wanted {
+    let coupled = knobs.iter().any(Knob::couples)
+        || base.effects.iter().any(|s| matches!(s.place, Place::Pair { .. }));
+    if coupled {
+        return Wanted::ALL;
+    }
+    Wanted {
+        axes: knobs.iter().fold(0, |mask, k| mask | k.wanted(base).axes),
+        monitors: knobs.iter().any(|k| k.wanted(base).monitors),
+    }
+}
+
+/// Residuals of a rig whose knobs reach `wanted`; what they do not reach is that of the rig without them.
+fn residuals_within(
+    scene: &Scene,
+    rig: &Rig,
+    wanted: Wanted,
+    untouched: Option<&Stack>,
+    include: &(dyn Fn(&Channel) -> bool + Sync),
+) -> Result<Stack, Error> {
+    let Some(untouched) = untouched else {
+        return Ok(scene.residuals(&[(rig, Wanted::ALL)], include)?.remove(0));
+    };
+    let mut stack = scene.residuals(&[(rig, wanted)], include)?.remove(0);
+    for (row, there) in stack.iter_mut().zip(untouched) {
+        if row.is_none() {
+            row.clone_from(there);
+        }
+    }
+    Ok(stack)
+}
+
+/// Fit `knobs`, starting at `start`, to the channels that `include` lets through. `untouched`, if known, holds the residuals of
+/// `base` there: what no knob reaches is then not simulated again.
 pub fn fit(
     scene: &Scene,
     base: &Rig,
     knobs: Vec<Knob>,
     start: Vec<f64>,
     effort: Effort,
+    untouched: Option<&Stack>,
     include: &(dyn Fn(&Channel) -> bool + Sync),
 ) -> Result<Fit, Error> {
     let mut values: Vec<f64> =
         start.iter().zip(&knobs).map(|(v, k)| v.clamp(k.min, k.max)).collect();
     let rig = rig_with(base, &knobs, &values)?;
-    let mut stack = scene.residuals(&[(&rig, Wanted::ALL)], include)?.remove(0);
+    let reach = reach(base, &knobs);
+    let mut stack = residuals_within(scene, &rig, reach, untouched, include)?;
     let (of_axis, of_knob, parts) = independent_parts(scene, base, &knobs);
     let mut best = costs(scene, &stack, &knobs, &values, &of_axis, &of_knob, parts);
     let mut lambda = vec![1.0e-3; parts];
@@ -240,11 +277,20 @@ pub fn fit(
                 .map(|k| if open.contains(&of_knob[k]) { wanted[k] } else { values[k] })
                 .collect();
             let candidate = rig_with(base, &knobs, &trial)?;
-            let Ok(mut stacks) = scene.residuals(&[(&candidate, Wanted::ALL)], include) else {
+            // Axes that have taken their step already are not simulated again.
+            let coupled = reach == Wanted::ALL;
+            let still = Wanted {
+                axes: (0..of_axis.len())
+                    .filter(|&a| coupled || open.contains(&of_axis[a]))
+                    .fold(0, |mask, a| mask | 1 << a)
+                    & reach.axes,
+                ..reach
+            };
+            let Ok(moved) = residuals_within(scene, &candidate, still, Some(&stack), include)
+            else {
                 lambda.iter_mut().for_each(|l| *l *= 10.0);
                 continue;
             };
-            let moved = stacks.remove(0);
             let after = costs(scene, &moved, &knobs, &trial, &of_axis, &of_knob, parts);
             let better: Vec<usize> = open.iter().copied().filter(|&p| after[p] < best[p]).collect();
             for (c, row) in moved.into_iter().enumerate() {

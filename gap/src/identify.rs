@@ -79,7 +79,7 @@ fn settle(
     include: &(dyn Fn(&Channel) -> bool + Sync),
 ) -> Result<Fit, Error> {
     let effort = Effort { iterations: 12, tolerance: 1.0e-4, ..Effort::default() };
-    let first = fit(scene, rig, knobs.clone(), start, effort, include)?;
+    let first = fit(scene, rig, knobs.clone(), start, effort, None, include)?;
     let mut weighed = scene.clone();
     for (c, channel) in weighed.channels.iter_mut().enumerate() {
         if let Some(row) = &first.stack[c] {
@@ -88,7 +88,7 @@ fn settle(
             channel.weigh(&power, 1.0);
         }
     }
-    fit(&weighed, rig, knobs, first.values, Effort { iterations: 6, ..effort }, include)
+    fit(&weighed, rig, knobs, first.values, Effort { iterations: 6, ..effort }, None, include)
 }
 
 /// Charge per metre of travel: q = T x + C v with v = K x / T.

@@ -34,8 +34,6 @@ pub struct Track {
     pub position_um: Vec<Option<Vec<f32>>>,
     /// First sample to score.
     pub settle: usize,
-    /// The recording begins with a part that brings the stacks to a known memory.
-    pub settled: bool,
     /// `true` where a sample was recorded and is not too soon after a loss.
     pub present: Vec<bool>,
     /// Lost ticks in this file.
@@ -151,7 +149,6 @@ fn track(rig: &Rig, file: &str, recording: &Recording) -> Result<Track, Error> {
         monitor_v: (0..axes).map(|axis| pick(&recording.monitor_v, axis)).collect(),
         position_um: (0..axes).map(|axis| pick(&recording.position_um, axis)).collect(),
         settle,
-        settled: recording.meta.settle_s > 0.0,
         present,
         lost: n as u64 - recording.len() as u64,
         closed_loop,

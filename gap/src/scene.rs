@@ -9,7 +9,7 @@
 use std::sync::Arc;
 
 use host_sim::rig::Rig;
-use host_sim::{Axes, Initial, Input, Memory, Output, simulate};
+use host_sim::{Axes, Initial, Input, Output, simulate};
 use rayon::prelude::*;
 
 use crate::Error;
@@ -239,38 +239,32 @@ impl Scene {
         Ok(stack)
     }
 
-    /// Find out in which channels the unknown memory of the stacks at the start still matters, and set it aside there.
+    /// Find out in which channels the unknown memory of the stacks at the start still matters, and set it aside there. The past
+    /// of a stack is taken to lie within the voltages that this session drives: a ramp to the top of them wipes it out.
     pub fn set_aside_memory(&mut self, rig: &Rig) -> Result<(), Error> {
-        let starts = [-1.0, 1.0].map(|sign| -> Vec<Initial> {
-            rig.axes
-                .iter()
-                .map(|axis| {
-                    let hysteresis = &axis.piezo.hysteresis;
-                    let saturation = hysteresis
-                        .capacitance_f
-                        .iter()
-                        .zip(&hysteresis.limit_v)
-                        .map(|(c, v)| 2.0 * c * v)
-                        .fold(0.0, f64::max);
-                    Initial { memory: Memory::Swept(sign * saturation), ..Initial::default() }
-                })
-                .collect()
-        });
+        let (low, high) = self
+            .tracks
+            .iter()
+            .flat_map(|t| t.drive_v.iter().flatten())
+            .fold((0.0_f64, 0.0_f64), |(low, high), &v| (low.min(v), high.max(v)));
         let rows: Vec<Vec<Vec<Vec<f32>>>> = (0..self.tracks.len())
             .into_par_iter()
             .map(|track| {
                 let virgin = self.output(rig, track, Axes::All, &[])?;
-                let swept = [
-                    self.output(rig, track, Axes::All, &starts[0])?,
-                    self.output(rig, track, Axes::All, &starts[1])?,
-                ];
+                let swept: Vec<Output> = [high, 0.5 * high, low]
+                    .into_iter()
+                    .filter(|turn| *turn != 0.0)
+                    .map(|turn| {
+                        let past = self.after_turn(rig, track, turn)?;
+                        self.output(rig, track, Axes::All, &past)
+                    })
+                    .collect::<Result<_, Error>>()?;
                 Ok(self
                     .channels
                     .iter()
                     .filter(|c| c.track == track)
                     .map(|channel| {
-                        // A settling part brings the memory to a known state: that is what it is for.
-                        if channel.kind == Kind::Monitor || self.tracks[track].settled {
+                        if channel.kind == Kind::Monitor {
                             return Vec::new();
                         }
                         let base = self.residual(channel, &virgin);
@@ -298,6 +292,39 @@ impl Scene {
             channel.orthonormalise();
         }
         Ok(())
+    }
+
+    /// What the stacks remember after a slow excursion from 0 V to `turn_v` and on to where a recording starts.
+    fn after_turn(&self, rig: &Rig, track: usize, turn_v: f64) -> Result<Vec<Initial>, Error> {
+        const SAMPLES: usize = 400;
+        let track = &self.tracks[track];
+        let drive: Vec<Vec<f64>> = track
+            .drive_v
+            .iter()
+            .map(|column| {
+                let start_v = column.first().copied().unwrap_or(0.0);
+                let ramp = |from: f64, to: f64| {
+                    (0..SAMPLES).map(move |k| from + (to - from) * k as f64 / SAMPLES as f64)
+                };
+                let rest = std::iter::repeat_n(start_v, SAMPLES / 4);
+                ramp(0.0, turn_v).chain(ramp(turn_v, start_v)).chain(rest).collect()
+            })
+            .collect();
+        let drive: Vec<&[f64]> = drive.iter().map(Vec::as_slice).collect();
+        let input = Input {
+            sample_rate_hz: track.rate_hz,
+            start_s: track.start_s,
+            ticks: None,
+            drive_v: &drive,
+            initial: &[],
+            monitor_v: None,
+        };
+        let output = simulate(rig, &input, Axes::All).map_err(|e| Error::Rig(e.to_string()))?;
+        Ok(output
+            .end
+            .into_iter()
+            .map(|end| Initial { memory: end.memory, ..Initial::default() })
+            .collect())
     }
 }
 
@@ -420,6 +447,17 @@ impl Channel {
             .enumerate()
             .map(|(l, p)| (p - self.unrepeatable[l]) * self.levels.range(l).len() as f64)
             .sum()
+    }
+
+    /// Energy of a whitened row beyond noise, that of the noise, and the standard deviation squared of the latter; weights undone.
+    pub fn excess_of(&self, row: &[f32]) -> (f64, f64, f64) {
+        let (mut floor, mut spread) = (0.0, 0.0);
+        for (level, v) in self.unrepeatable.iter().enumerate() {
+            let n = self.levels.range(level).len() as f64;
+            floor += v * n;
+            spread += 2.0 * v * v * n;
+        }
+        (self.excess(row), floor, spread)
     }
 }
 

@@ -48,11 +48,12 @@ pub struct Gain {
     pub start: Vec<f64>,
 }
 
-/// Simulate every effect of `effects` in `rig`, whose residuals are `base`.
+/// Simulate every effect of `effects` in `rig`, whose residuals are `base`. Places that only reach axes outside the mask beside
+/// it are left out: nothing is missing there.
 pub fn screen(
     scene: &Scene,
     rig: &Rig,
-    base: &Stack,
+    (base, loud): (&Stack, u32),
     effects: &[EffectRef],
     ranges: &Ranges,
     include: &(dyn Fn(&Channel) -> bool + Sync),
@@ -64,6 +65,9 @@ pub fn screen(
         let mut groups: Vec<(Vec<Place>, Wanted)> = Vec::new();
         for place in places(effect, rig.axes.len()) {
             let axes = axes_seen(rig, effect, place);
+            if axes & loud == 0 {
+                continue;
+            }
             match groups.iter_mut().find(|(_, w)| w.axes & axes == 0) {
                 Some((members, w)) => {
                     members.push(place);

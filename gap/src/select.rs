@@ -159,7 +159,8 @@ impl<'a> Search<'a> {
         let base = scene.residuals(&[(nominal, Wanted::ALL)], include)?.remove(0);
         let noise = noise_cost(scene, &base);
         let gap = cost(&base) - noise;
-        let screen = screen(scene, nominal, &base, effects, ranges, include, tick)?;
+        let loud = crate::accept::loud_axes(scene, &base);
+        let screen = screen(scene, nominal, (&base, loud), effects, ranges, include, tick)?;
         Ok(Self {
             scene,
             nominal,
@@ -363,7 +364,8 @@ impl<'a> Search<'a> {
             .iter()
             .flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p, &self.ranges)))
             .collect();
-        let fit = fit(self.scene, self.nominal, knobs, start, effort, self.include)?;
+        let fit =
+            fit(self.scene, self.nominal, knobs, start, effort, Some(&self.base), self.include)?;
         (self.tick)();
         Ok(Model { terms, fit, ranges: self.ranges.clone() })
     }

@@ -216,10 +216,10 @@ impl Hysteresis {
         self.charge_c
     }
 
-    /// Leaves a random memory: what an unknown past between about -10 and 90 V has written.
-    pub fn scramble(&mut self, rng: &mut impl Rng) {
-        let mut swing = 1.9e-4;
-        while swing > 2e-6 {
+    /// Leaves a random memory: what an unknown past between -0.1 and 1 of the charge `top_c` (C) has written.
+    pub fn scramble(&mut self, top_c: f64, rng: &mut impl Rng) {
+        let mut swing = top_c;
+        while swing > 0.01 * top_c {
             let q = swing * rng.random_range(-0.1..1.0);
             // In small steps: the Bouc-Wen state is a differential one.
             let from = self.charge_c;
@@ -227,13 +227,6 @@ impl Hysteresis {
                 self.commit(from + (q - from) * f64::from(step) / 200.0);
             }
             swing *= rng.random_range(0.3..0.9);
-        }
-        // Half of the time a memory that no simple past would write: each play anywhere in its reach.
-        let apart = rng.random_bool(0.5);
-        if let (Class::Plays(plays), true) = (&mut self.class, apart) {
-            for play in plays {
-                play.center_c = self.charge_c + rng.random_range(-play.up_c..play.down_c);
-            }
         }
     }
 }

@@ -56,6 +56,16 @@ struct Moving {
     gauge_share: f64,
 }
 
+/// Charge (C) that no past of a stack exceeded: below what the settling ramp to 100 V draws, since that is what a ramp is for.
+fn past_c(axis: &AxisWorld) -> f64 {
+    let constants = &axis.constants;
+    let stiffness = constants.stiffness_n_per_m + constants.mechanism_n_per_m;
+    let free = constants.capacitance_f + constants.transformer_n_per_v.powi(2) / stiffness;
+    let slip_v: f64 = constants.slip.iter().map(|slip| slip.1).sum();
+    let top_v = axis.clip.1.min(100.0) * axis.drive.0.min(1.0) + axis.drive.1.min(0.0);
+    free * (0.85 * top_v - 1.2 * slip_v).max(0.1 * top_v)
+}
+
 /// Runs one experiment; slow states and faults of `world` run on, the rest starts anew with a random memory of the stacks.
 ///
 /// `idle_s` is the time since the last experiment ended, with the drives at 0 V.
@@ -74,7 +84,7 @@ pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Opt
     let mut moving: Vec<Moving> = Vec::new();
     for (index, axis) in world.axes.iter_mut().enumerate() {
         let mut memory = StdRng::seed_from_u64(experiment.seed ^ (0x5eed << 20) ^ index as u64);
-        axis.hysteresis.scramble(&mut memory);
+        axis.hysteresis.scramble(past_c(axis), &mut memory);
         if let Some(creep) = &mut axis.creep {
             let table = creep.table(idle_s);
             creep.step(&table, 0.0);
