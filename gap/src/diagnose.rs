@@ -72,10 +72,11 @@ pub(crate) fn bar(options: &Options) -> ProgressBar {
 pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outcome, Error> {
     let bar = bar(options);
     bar.set_message("reading the recordings");
-    let tracks = intake::tracks(rig, session)?;
+    let (tracks, passed_over) = intake::tracks(rig, session)?;
     let mut scene = Scene::new(rig, tracks);
     bar.set_message("measuring the noise");
-    let mut notes = integrity_notes(&scene, rig);
+    let mut notes = passed_over;
+    notes.extend(integrity_notes(&scene, rig));
     split(&mut scene, &[]);
     scene.set_aside_memory(rig)?;
     let everything = |_: &Channel| true;
@@ -160,7 +161,8 @@ fn search(
     let tick = || bar.inc(1);
     let mut search = Search::new(scene, rig, effects, ranges, &fitted, &tick)?;
     bar.set_message("fitting");
-    let Some(model) = search.run()? else { return Ok(None) };
+    let whole = search.run()?;
+    let Some(model) = by_axis(&mut search, whole, effects, gaps)? else { return Ok(None) };
     let gap = search.gap.max(1.0);
     let tried: Vec<(String, f64)> = search
         .tried
@@ -198,6 +200,78 @@ fn search(
         Model { terms, fit, ranges: ranges.clone() }
     };
     Ok(Some(Found { model, whole, rivals, confidence, next, tried, missed, changed: false }))
+}
+
+/// Axes that `model` leaves open are searched again, each by itself: what is loud and unknown on one axis must not hide what is
+/// quiet and known on another. Causes found that way join those of the other axes.
+fn by_axis(
+    search: &mut Search,
+    model: Option<Model>,
+    effects: &[EffectRef],
+    gaps: &[AxisGapSize],
+) -> Result<Option<Model>, Error> {
+    let axes = search.nominal.axes.len();
+    let (scene, rig) = (search.scene, search.nominal);
+    let everything = |_: &Channel| true;
+    let raw = scene.raw(rig, everything)?;
+    let closed = |rig: &Rig| -> Result<Vec<Option<f64>>, Error> {
+        let after = scene.raw(rig, everything)?;
+        Ok(accept::closed_by_axis(&Energies::new(scene, &raw, &after, &everything), axes))
+    };
+    let by_axis = closed(model.as_ref().map_or(rig, |m| &m.fit.rig))?;
+    let open: Vec<usize> = (0..axes)
+        .filter(|&a| gaps[a].counts && by_axis[a].is_some_and(|c| !accept::names(c)))
+        .collect();
+    if open.is_empty() || gaps.iter().filter(|g| g.counts).count() < 2 {
+        return Ok(model);
+    }
+    // What the whole search found keeps the axes that it closes.
+    let mut terms: Vec<(Term, Vec<f64>)> = Vec::new();
+    if let Some(model) = &model {
+        for (t, term) in model.terms.iter().enumerate() {
+            let kept: Vec<usize> = (0..term.places.len())
+                .filter(|&p| {
+                    let own = Term { effect: term.effect, places: vec![term.places[p]] };
+                    own.axes().iter().all(|a| !open.contains(a))
+                })
+                .collect();
+            if !kept.is_empty() {
+                let places = kept.iter().map(|&p| term.places[p]).collect();
+                let values = kept.iter().flat_map(|&p| model.values(t, p).to_vec()).collect();
+                terms.push((Term { effect: term.effect, places }, values));
+            }
+        }
+    }
+    let before = terms.len();
+    for axis in open {
+        let include = move |c: &Channel| !c.held_out && c.axis == axis;
+        let tick = || {};
+        let ranges = search.ranges.clone();
+        let mut alone = Search::new(scene, rig, effects, &ranges, &include, &tick)?;
+        let Some(own) = alone.run()? else { continue };
+        if !closed(&own.fit.rig)?[axis].is_some_and(accept::names) {
+            continue;
+        }
+        for (term, values) in start_terms(&own) {
+            match terms.iter_mut().find(|(known, _)| known.name() == term.name()) {
+                Some((known, all)) => {
+                    known.places.extend(term.places);
+                    all.extend(values);
+                }
+                None => terms.push((term, values)),
+            }
+        }
+    }
+    if terms.len() == before && model.is_some() {
+        return Ok(model);
+    }
+    terms.truncate(crate::select::MOST_EFFECTS);
+    if terms.is_empty() {
+        return Ok(model);
+    }
+    let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = terms.into_iter().unzip();
+    let effort = search.effort();
+    Ok(Some(search.fit_model(terms, start.concat(), effort)?))
 }
 
 /// Held-out recordings whose gap the model leaves open: worth a look with these recordings among the fitted ones.

@@ -36,15 +36,17 @@ pub struct Fit {
 pub struct Effort {
     /// Most iterations.
     pub iterations: usize,
-    /// Stop when the cost falls by less than this share of what it was.
+    /// Stop when the cost falls by less than this share of what it was above `floor`.
     pub tolerance: f64,
+    /// Cost that no model can go below: that of the noise.
+    pub floor: f64,
     /// Give up after two iterations that leave more than this cost.
     pub hopeless: f64,
 }
 
 impl Default for Effort {
     fn default() -> Self {
-        Self { iterations: 8, tolerance: 1.0e-3, hopeless: f64::INFINITY }
+        Self { iterations: 8, tolerance: 1.0e-3, floor: 0.0, hopeless: f64::INFINITY }
     }
 }
 
@@ -317,7 +319,7 @@ pub fn fit(
             }
         }
         let now: f64 = best.iter().sum();
-        if before - now < effort.tolerance * before {
+        if before - now < (effort.tolerance * (before - effort.floor)).max(1.0) {
             break;
         }
     }

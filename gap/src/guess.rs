@@ -36,6 +36,8 @@ pub struct Ranges {
     pub rate_hz: f64,
     /// Length of the longest recording, s.
     pub longest_s: f64,
+    /// From the start of the first recording to the end of the last, s.
+    pub session_s: f64,
 }
 
 /// Look at the session once.
@@ -45,9 +47,12 @@ pub fn ranges(scene: &Scene, rig: &Rig, raw: &Stack) -> Result<Ranges, Error> {
     let mut current: f64 = 0.0;
     let mut rate_hz: f64 = 0.0;
     let mut longest: f64 = 0.0;
+    let mut clock = (f64::INFINITY, f64::NEG_INFINITY);
     for track in scene.tracks.iter() {
         rate_hz = rate_hz.max(track.rate_hz);
-        longest = longest.max(track.len() as f64 / track.rate_hz);
+        let length_s = track.len() as f64 / track.rate_hz;
+        longest = longest.max(length_s);
+        clock = (clock.0.min(track.start_s), clock.1.max(track.start_s + length_s));
         for (axis, column) in track.drive_v.iter().enumerate() {
             let Some(position) = &track.position_um[axis] else { continue };
             for &v in &column[track.settle..] {
@@ -87,6 +92,7 @@ pub fn ranges(scene: &Scene, rig: &Rig, raw: &Stack) -> Result<Ranges, Error> {
         mass_kg: rig.axes[0].piezo.mass_kg + rig.axes[0].mechanism.mass_kg,
         rate_hz,
         longest_s: longest,
+        session_s: clock.1 - clock.0,
     })
 }
 
@@ -338,8 +344,8 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
         }
         "sensor-drift" => {
             wanted.push(with(&[("rate_m_per_s", typical("rate_m_per_s"))]));
-            for seconds in [0.1, 0.5, 2.0] {
-                let settling_s = (seconds * ranges.longest_s).max(1.0);
+            for seconds in [0.1, 0.4, 1.5] {
+                let settling_s = (seconds * ranges.session_s).max(1.0);
                 wanted.push(with(&[
                     ("settling_m", typical("settling_m")),
                     ("settling_s", settling_s),

@@ -41,7 +41,7 @@ pub struct Identified {
 pub fn identify(rig: &Rig, session: &Session, options: &Options) -> Result<Identified, Error> {
     let bar = crate::diagnose::bar(options);
     bar.set_message("reading the recordings");
-    let mut scene = Scene::new(rig, intake::tracks(rig, session)?);
+    let mut scene = Scene::new(rig, intake::tracks(rig, session)?.0);
     hold_out_last_third(&mut scene);
     scene.set_aside_memory(rig)?;
     let everything = |_: &Channel| true;

@@ -59,16 +59,27 @@ impl Track {
     }
 }
 
-/// Check a session against its rig and lay every recording on its clock.
-pub fn tracks(rig: &Rig, session: &Session) -> Result<Vec<Track>, Error> {
+/// Check a session against its rig and lay every recording on its clock. Recordings with nothing to score are passed over and
+/// named beside the tracks, unless there are no others.
+pub fn tracks(rig: &Rig, session: &Session) -> Result<(Vec<Track>, Vec<String>), Error> {
     if session.recordings.is_empty() {
         return Err(Error::Session("no recording in the folder".into()));
     }
+    let short = |r: &Recording| r.len() < r.settle_rows() + FEWEST_SAMPLES;
+    let all_short = session.recordings.iter().all(|entry| short(&entry.recording));
     let mut tracks = Vec::with_capacity(session.recordings.len());
+    let mut passed_over = Vec::new();
     for entry in &session.recordings {
+        if short(&entry.recording) && !all_short {
+            passed_over.push(format!(
+                "{}: nothing to score after settle_s = {} s; passed over.",
+                entry.file, entry.recording.meta.settle_s
+            ));
+            continue;
+        }
         tracks.push(track(rig, &entry.file, &entry.recording)?);
     }
-    Ok(tracks)
+    Ok((tracks, passed_over))
 }
 
 fn track(rig: &Rig, file: &str, recording: &Recording) -> Result<Track, Error> {

@@ -21,7 +21,7 @@ const BEAM: usize = 3;
 /// Partners that are fitted for each of them.
 const PARTNERS: usize = 3;
 /// Most effects in a model.
-const MOST_EFFECTS: usize = 3;
+pub const MOST_EFFECTS: usize = 3;
 /// A further effect must remove this share of what the model before it leaves.
 const WORTH_OF_LEFTOVER: f64 = 0.35;
 /// ... and this share of the whole gap (whitened).
@@ -141,7 +141,8 @@ pub struct Search<'a> {
     pub noise: f64,
     /// Every model that was fitted, best first.
     pub tried: Vec<Model>,
-    ranges: Ranges,
+    /// What the session offers.
+    pub ranges: Ranges,
     include: &'a (dyn Fn(&Channel) -> bool + Sync),
     tick: &'a (dyn Fn() + Sync),
 }
@@ -211,7 +212,7 @@ impl<'a> Search<'a> {
                 let pruned = self.prune(model)?;
                 let (terms, start): (Vec<Term>, Vec<Vec<f64>>) =
                     start_terms(&pruned).into_iter().unzip();
-                let effort = Effort { iterations: 5, tolerance: 2.0e-4, ..Effort::default() };
+                let effort = Effort { iterations: 6, tolerance: 3.0e-3, ..self.effort() };
                 Ok(Some(self.fit_model(terms, start.concat(), effort)?))
             }
             None => Ok(None),
@@ -297,7 +298,7 @@ impl<'a> Search<'a> {
         } else {
             best.max(self.noise + 0.02 * self.gap) + 0.05 * (best - self.noise).max(0.0)
         };
-        let effort = Effort { iterations: 6, tolerance: 3.0e-3, hopeless };
+        let effort = Effort { iterations: 8, tolerance: 2.0e-2, hopeless, ..self.effort() };
         let model = self.fit_model(terms, start, effort)?;
         self.even_out(model, effort)
     }
@@ -351,6 +352,11 @@ impl<'a> Search<'a> {
         let other =
             self.fit_model(model.terms.clone(), start, Effort { iterations: 4, ..effort })?;
         Ok(if other.fit.cost < model.fit.cost { other } else { model })
+    }
+
+    /// How to fit on this session.
+    pub fn effort(&self) -> Effort {
+        Effort { tolerance: 1.0e-2, floor: self.noise, ..Effort::default() }
     }
 
     /// Fit given terms from given values.
@@ -413,8 +419,7 @@ impl<'a> Search<'a> {
             if !dropped || kept_terms.is_empty() {
                 return Ok(model);
             }
-            model =
-                self.fit_model(kept_terms, start, Effort { iterations: 4, ..Effort::default() })?;
+            model = self.fit_model(kept_terms, start, Effort { iterations: 4, ..self.effort() })?;
         }
     }
 

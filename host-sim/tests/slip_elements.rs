@@ -54,6 +54,7 @@ fn branch(input_v: f64) -> Branch {
         drag_v_per_c: 0.0,
         skew_per_c: 0.0,
         limit_scale: 1.0,
+        sum_scale: 1.0,
     }
 }
 

@@ -216,8 +216,23 @@ impl Hysteresis {
         self.charge_c
     }
 
+    /// Back to the virgin curve.
+    fn forget(&mut self) {
+        self.charge_c = 0.0;
+        match &mut self.class {
+            Class::Plays(plays) => plays.iter_mut().for_each(|play| play.center_c = 0.0),
+            Class::BoucWen { z, .. } => *z = 0.0,
+            Class::Preisach(operator) => {
+                operator.turns.clear();
+                operator.rising = true;
+                operator.voltage_v = 0.0;
+            }
+        }
+    }
+
     /// Leaves a random memory: what an unknown past between -0.1 and 1 of the charge `top_c` (C) has written.
     pub fn scramble(&mut self, top_c: f64, rng: &mut impl Rng) {
+        self.forget();
         let mut swing = top_c;
         while swing > 0.01 * top_c {
             let q = swing * rng.random_range(-0.1..1.0);

@@ -1,6 +1,6 @@
 //! Runs a world through an experiment.
 //!
-//! Fixed steps of 12.5 us (8 to a tick at 10 kHz), half of that where masses were added; implicit (average acceleration) in the mechanics and in the
+//! Fixed steps of 6.25 us (16 to a tick at 10 kHz); implicit (average acceleration) in the mechanics and in the
 //! stack's charge together, so that the 32 kHz mode of stack and mechanism is followed without a limit on the step. Only the
 //! neighbours' forces, small against the stack's stiffness, enter explicitly.
 
@@ -25,9 +25,9 @@ pub struct Options {
 
 impl Options {
     /// For recordings.
-    pub const FINE: Self = Self { step_s: 12.5e-6, noise: true };
+    pub const FINE: Self = Self { step_s: 6.25e-6, noise: true };
     /// For finding out how large an effect is.
-    pub const ROUGH: Self = Self { step_s: 25e-6, noise: false };
+    pub const ROUGH: Self = Self { step_s: 20e-6, noise: false };
 }
 
 /// What moves fast, per axis; starts anew with each file.
@@ -72,10 +72,10 @@ fn past_c(axis: &AxisWorld) -> f64 {
 pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Options) -> Recording {
     let axes = world.axes.len();
     let rate = experiment.sample_rate_hz;
-    // Added masses bring modes of some kilohertz, which want finer steps; where samples are slow, nothing fast is seen.
+    // Added masses bring modes of some kilohertz, which want fine steps; where samples are slow, nothing fast is seen.
     let fast =
         world.axes.iter().any(|axis| !axis.modes.is_empty() || axis.constants.mass_kg > 5e-3);
-    let longest = options.step_s * if fast { 0.5 } else { (rate / 2500.0).recip().clamp(1.0, 4.0) };
+    let longest = options.step_s * if fast { 1.0 } else { (rate / 2500.0).recip().clamp(1.0, 4.0) };
     let steps = (1.0 / (rate * longest)).ceil().max(1.0) as usize;
     let dt = 1.0 / (rate * steps as f64);
     // Neighbours' forces at the new time by extrapolation; coarse steps would amplify the 32 kHz ringing through it.
@@ -358,20 +358,27 @@ fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside_n: f64, dt: f64) 
         Rate::PerDecade(growth) => 1.0 + growth * (1.0 + state.charge_rate.abs() / 1e-4).log10(),
         _ => 1.0,
     };
-    let extra = match axis.rate {
+    // Voltage and slope of a loss that goes with a power of the rate, smooth through zero, at charge q.
+    let follow = (dt / 1e-4).min(1.0);
+    let extra = |q: f64, last: f64| match axis.rate {
         Rate::Power(volts, power) => {
-            volts * (state.charge_rate.abs() / 1e-3).powf(power) * state.charge_rate.signum()
+            let rate = state.charge_rate + ((q - last) / dt - state.charge_rate) * follow;
+            let (r, soft) = (rate / 1e-3, 1e-2);
+            let size = (r * r + soft * soft).powf(0.5 * (power - 1.0));
+            let slope = size * (1.0 + (power - 1.0) * r * r / (r * r + soft * soft));
+            (volts * size * r, volts * slope * follow / dt / 1e-3)
         }
-        _ => 0.0,
+        _ => (0.0, 0.0),
     };
     // One scalar equation for the charge, monotone: Newton on the branch that the last step suggests.
-    let wanted = state.output_v - extra;
+    let wanted = state.output_v;
     let last = axis.hysteresis.charge_c();
     let mut q = last + state.charge_rate * dt;
     for _ in 0..12 {
         let (voltage, slope) = axis.hysteresis.at(q);
-        let residual = factor * voltage + (q - base) / taken - wanted;
-        let change = residual / (factor * slope + 1.0 / taken);
+        let (loss, steep) = extra(q, last);
+        let residual = factor * voltage + loss + (q - base) / taken - wanted;
+        let change = residual / (factor * slope + steep + 1.0 / taken);
         q -= change;
         if change.abs() < 1e-13 {
             break;

@@ -1,5 +1,7 @@
 //! hysteresis-rate: loops that widen with speed.
 
+use std::f64::consts::LOG10_E;
+
 use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
 use crate::stages::model::{Model, RateLaw};
 
@@ -16,10 +18,11 @@ static INFO: Info = Info {
         Parameter::size("per_decade", "1", 0.0, (-0.5, 2.0), 0.05, "growth of the slip limits a decade of current"),
         Parameter::size("resistance_ohm", "Ohm", 0.0, (0.0, 1.0e6), 50.0, "loss in series with the elements"),
         Parameter::shape("reference_a", "A", (1.0e-8, 10.0), 1.0e-4, "current from which the limits grow").by_ratio(),
+        Parameter::shape("stiffening", "1", (0.0, 1.0), 0.5, "share of the growth that the elements' stiffness takes part in"),
     ],
     threshold: false,
     physics: "limit_i' = limit_i (1 + per_decade lg(1 + |dq/dt|/reference)), and resistance dq/dt in series: domain \
-              walls need a larger field to move faster. A reference beyond all currents makes the growth linear in \
+              walls need a larger field to move faster. With stiffening 1 the whole hysteresis voltage grows instead. A reference beyond all currents makes the growth linear in \
               speed. Loop width at 0 Hz is untouched.",
     source: "rate-dependent Prandtl-Ishlinskii models, thresholds alpha + beta |du/dt|, 10.5772/58984 (notes/physics.md, 2)",
     revealed_by: "the same triangle at 0.1, 1, 10, 100 Hz",
@@ -29,11 +32,14 @@ static INFO: Info = Info {
 struct LimitGrowth {
     per_decade: f64,
     reference_a: f64,
+    stiffening: f64,
 }
 
 impl RateLaw for LimitGrowth {
-    fn scale(&self, current_a: f64) -> f64 {
-        (1.0 + self.per_decade * (current_a / self.reference_a).ln_1p() * std::f64::consts::LOG10_E).max(0.05)
+    fn scales(&self, current_a: f64) -> (f64, f64) {
+        let growth = self.per_decade * (current_a / self.reference_a).ln_1p() * LOG10_E;
+        let whole = (1.0 + self.stiffening * growth).max(0.05);
+        ((1.0 + growth).max(0.05) / whole, whole)
     }
 }
 
@@ -47,7 +53,7 @@ impl Effect for HysteresisRate {
         piezo.resistance_ohm += values[1];
         if values[0] != 0.0 {
             piezo.rate =
-                Some(Box::new(LimitGrowth { per_decade: values[0], reference_a: values[2] }));
+                Some(Box::new(LimitGrowth { per_decade: values[0], reference_a: values[2], stiffening: values[3] }));
         }
     }
 }

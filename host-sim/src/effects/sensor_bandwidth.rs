@@ -1,5 +1,7 @@
 //! sensor-bandwidth: the conditioner is a low-pass.
 
+use nalgebra::{Matrix4, Vector2, Vector4};
+
 use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
 use crate::stages::model::{Model, SensorBlock};
 
@@ -12,22 +14,22 @@ static INFO: Info = Info {
     stage: Stage::Sensor,
     kind: Kind::Structural,
     scope: Scope::Axis,
-    parameters: &[Parameter::size(
-        "time_constant_s",
-        "s",
-        0.0,
-        (0.0, 10.0),
-        5.0e-5,
-        "time constant of the conditioner",
-    )],
+    parameters: &[
+        Parameter::size("time_constant_s", "s", 0.0, (0.0, 10.0), 5.0e-5, "time constant of the conditioner"),
+        Parameter::shape("curvature", "1", (0.0, 1.0), 0.2, "second order: 0 is a single pole, 0.5 two equal ones, 0.71 Butterworth"),
+    ],
     threshold: false,
-    physics: "tau y' + y = x, exact for a displacement that is straight over a tick. Linear, the same at all levels, \
+    physics: "(curvature tau)^2 y'' + tau y' + y = x, exact for a displacement that is straight over a tick. Linear, the same at all levels, \
               absent from the monitor; what moves does not know of it.",
     source: "conditioner pole at 5 to 15 kHz (notes/physics.md, section 4); 2120B -3 dB at 15 kHz",
     revealed_by: "steps, multisine up to 0.4 of the sample rate",
     confused_with: &["drive-delay", "amplifier-bandwidth"],
 };
 
+/// Curvature below which the second pole is faster than a hundredth of the first.
+const SINGLE: f64 = 0.1;
+
+/// One pole.
 struct LowPass {
     decay: f64,
     from_start: f64,
@@ -48,16 +50,58 @@ impl SensorBlock for LowPass {
     }
 }
 
+/// Two poles: reading and its slope (per tick), propagated exactly for an input that is straight over a tick.
+struct SecondOrder {
+    advance: Matrix4<f64>,
+    state: Option<(Vector2<f64>, f64)>,
+}
+
+impl SecondOrder {
+    fn new(time_constant_s: f64, curvature: f64, step_s: f64) -> Self {
+        // In ticks: z = (y, y', x, x'), with x' the constant slope of the input.
+        let stiffness = (step_s / (curvature * time_constant_s)).powi(2);
+        let damping = stiffness * time_constant_s / step_s;
+        #[rustfmt::skip]
+        let rates = Matrix4::new(
+            0.0, 1.0, 0.0, 0.0,
+            -stiffness, -damping, stiffness, 0.0,
+            0.0, 0.0, 0.0, 1.0,
+            0.0, 0.0, 0.0, 0.0,
+        );
+        Self { advance: rates.exp(), state: None }
+    }
+}
+
+impl SensorBlock for SecondOrder {
+    fn read(&mut self, value_m: f64, _bare_m: &[f64], _time_s: f64) -> f64 {
+        let motion = match self.state {
+            None => Vector2::new(value_m, 0.0),
+            Some((motion, before)) => {
+                let start = Vector4::new(motion.x, motion.y, before, value_m - before);
+                (self.advance * start).xy()
+            }
+        };
+        self.state = Some((motion, value_m));
+        motion.x
+    }
+}
+
 impl Effect for SensorBandwidth {
     fn info(&self) -> &'static Info {
         &INFO
     }
 
     fn apply(&self, values: &[f64], place: Place, model: &mut Model, step_s: f64) {
+        let blocks = &mut model.axes[place.on()].sensor.blocks;
+        // A second pole far inside a tick is one that nobody sees.
+        if values[1] >= SINGLE && values[1] * values[1] * values[0] > 0.02 * step_s {
+            blocks.push(Box::new(SecondOrder::new(values[0], values[1], step_s)));
+            return;
+        }
         let ratio = step_s / values[0];
         let rise = -(-ratio).exp_m1();
         let from_end = 1.0 - rise / ratio;
-        model.axes[place.on()].sensor.blocks.push(Box::new(LowPass {
+        blocks.push(Box::new(LowPass {
             decay: 1.0 - rise,
             from_start: rise - from_end,
             from_end,

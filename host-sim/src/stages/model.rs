@@ -135,8 +135,8 @@ pub trait OutputBlock: Send {
 
 /// Growth of the slip limits with current.
 pub trait RateLaw: Send {
-    /// Factor on the limits at a current of `current_a` (absolute).
-    fn scale(&self, current_a: f64) -> f64;
+    /// Factors on the limits and on the whole hysteresis voltage at a current of `current_a` (absolute).
+    fn scales(&self, current_a: f64) -> (f64, f64);
 }
 
 /// Kind of a linear state, for the scaling of the matrices.

@@ -155,6 +155,7 @@ impl Parts<'_> {
             drag_v_per_c: self.drag_v_per_c,
             skew_per_c: self.skew_per_c,
             limit_scale: 1.0,
+            sum_scale: 1.0,
         };
         for tick in 0..ticks {
             let load = Load {
@@ -164,7 +165,7 @@ impl Parts<'_> {
             let input_v = output(self.amplifier, before_v, load);
             if let Some(rate) = self.rate {
                 let current = (input_v - before_v) * load.capacitance_f() / self.step_s;
-                branch.limit_scale = rate.scale(current.abs());
+                (branch.limit_scale, branch.sum_scale) = rate.scales(current.abs());
             }
             let tangent = elements.tangent_towards(input_v >= before_v);
             let level =

@@ -45,6 +45,7 @@ pub struct AxisSim {
     slow_v: f64,
     slow_per_v: f64,
     limit_scale: f64,
+    sum_scale: f64,
     next_transducer_v: f64,
     next_position_m: f64,
     next_force_n: f64,
@@ -110,6 +111,7 @@ impl AxisSim {
             slow_v: 0.0,
             slow_per_v: 0.0,
             limit_scale: 1.0,
+            sum_scale: 1.0,
             next_transducer_v: 0.0,
             next_position_m: 0.0,
             next_force_n: 0.0,
@@ -206,7 +208,7 @@ impl AxisSim {
         }
         if let Some(rate) = &self.rate {
             let current = (output_v - self.output_v) * self.load().capacitance_f() / self.step_s;
-            self.limit_scale = rate.scale(current.abs());
+            (self.limit_scale, self.sum_scale) = rate.scales(current.abs());
         }
     }
 
@@ -256,6 +258,7 @@ impl AxisSim {
             drag_v_per_c: self.drag_v_per_c,
             skew_per_c: self.skew_per_c,
             limit_scale: self.limit_scale,
+            sum_scale: self.sum_scale,
         };
         self.next_transducer_v = self.elements.solve(&branch);
         self.next_position_m = free_m + per_volt * self.next_transducer_v;

@@ -29,6 +29,8 @@ pub struct Branch {
     pub skew_per_c: f64,
     /// Factor on every limit in this tick.
     pub limit_scale: f64,
+    /// Factor on the whole hysteresis voltage in this tick; only [`Zones`] take one.
+    pub sum_scale: f64,
 }
 
 /// What a tick asks of either form.

@@ -269,15 +269,16 @@ impl SlipElements for Zones {
         let elastance = 1.0 / branch.capacitance_f;
         let start = self.charge_c - branch.charge_at_zero_c;
         let (skew, drag, scale) = (branch.skew_per_c, branch.drag_v_per_c, branch.limit_scale);
+        let whole = branch.sum_scale;
         // The slipping elements follow their limits at once.
         let carried = self.sign * (scale - self.scale) * self.limits_before_v[self.slipping];
         let sum = self.sum_v + carried;
-        let gap = branch.input_v - start * elastance - sum * (1.0 + skew * self.charge_c);
+        let gap = branch.input_v - start * elastance - sum * whole * (1.0 + skew * self.charge_c);
         let guess = self.tangent_towards(gap >= 0.0);
-        let mut drawn = gap / (elastance + guess + drag);
+        let mut drawn = gap / (elastance + guess * whole + drag);
         for _ in 0..100 {
             let (voltage, tangent) = self.evaluate(drawn, scale);
-            let weight = 1.0 + skew * (self.charge_c + drawn);
+            let weight = whole * (1.0 + skew * (self.charge_c + drawn));
             let error =
                 (start + drawn) * elastance + voltage * weight + drag * drawn - branch.input_v;
             self.next.sum_v = voltage;
@@ -285,7 +286,7 @@ impl SlipElements for Zones {
             if error.abs() <= TOLERANCE_V {
                 break;
             }
-            drawn -= error / (elastance + tangent * weight + skew * voltage + drag);
+            drawn -= error / (elastance + tangent * weight + whole * skew * voltage + drag);
         }
         self.next.charge_c = self.charge_c + drawn;
         self.next.scale = scale;
