@@ -98,6 +98,11 @@ pub fn verdict(closed: f64, causes: usize, left: &[AxisGapSize]) -> Verdict {
     if clean || closed >= EXPLAINS { Verdict::Explained } else { Verdict::PartlyExplained }
 }
 
+/// Whether a share closed is an explanation.
+pub fn explains(closed: f64) -> bool {
+    closed >= EXPLAINS
+}
+
 /// Whether causes that close this share of an axis may be named for it.
 pub fn names(closed: f64) -> bool {
     closed >= PROXY

@@ -8,7 +8,7 @@ use recording::Session;
 use crate::accept::{self, AxisGapSize};
 use crate::ambiguity::{self, place_words};
 use crate::diagnosis::{
-    Cause, CauseKind, Diagnosis, NextExperiment, Parameter, RecordingGap, Role, Verdict,
+    Band, Cause, CauseKind, Diagnosis, NextExperiment, Parameter, RecordingGap, Role, Verdict,
 };
 use crate::energy::Energies;
 use crate::fit::{Effort, cost};
@@ -19,7 +19,7 @@ use crate::picture;
 use crate::scene::{Channel, Scene, Stack, TOLERANCE, Wanted};
 use crate::select::{Model, Search, Term, noise_cost, start_terms};
 use crate::split::split;
-use crate::{Error, Options, intake};
+use crate::{Error, Options, intake, slow};
 
 /// What `flexstage diagnose` writes.
 pub struct Outcome {
@@ -101,28 +101,39 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
     let ranges = crate::guess::ranges(&scene, rig, &raw_before)?;
     let mut found: Option<Found> = None;
     if gaps.iter().any(|g| g.counts) {
-        let mut keep: Vec<usize> = Vec::new();
-        for look in 0..2 {
-            bar.set_message(if look == 0 {
-                "screening the catalogue"
-            } else {
-                "looking again with other recordings"
-            });
-            let this = search(&scene, rig, &effects, &ranges, &bar, &gaps)?;
-            let second =
-                this.as_ref().map_or(look == 0, |f| f.missed.len() > keep.len() && look == 0);
-            let missed = match &this {
-                Some(f) => f.missed.clone(),
-                // Nothing found in the fitted ones: the gap may be in the others alone.
-                None => held_out_with_gap(&scene, &nominal),
+        bar.set_message("screening the catalogue");
+        found = search(&scene, rig, &effects, &ranges, &bar, &gaps)?;
+        let missed = match &found {
+            Some(f) => f.missed.clone(),
+            // Nothing found in the fitted ones: the gap may be in the others alone.
+            None => held_out_with_gap(&scene, &nominal),
+        };
+        if !missed.is_empty() && scene.tracks.len() >= 3 {
+            bar.set_message("looking again with other recordings");
+            let first = scene.clone();
+            split(&mut scene, &missed);
+            let second = search(&scene, rig, &effects, &ranges, &bar, &gaps)?;
+            // The look that closes more of the whole session stands.
+            let open = |scene: &Scene, found: &Option<Found>| -> Result<f64, Error> {
+                let Some(f) = found else { return Ok(f64::INFINITY) };
+                let after = scene.raw(&f.model.fit.rig, everything)?;
+                Ok(Energies::new(scene, &raw_before, &after, &everything).excess().1)
             };
-            found = this.or(found);
-            if !second || missed.is_empty() || scene.tracks.len() < 3 {
-                break;
+            if open(&scene, &second)? < open(&first, &found)? {
+                found = second;
+            } else {
+                scene = first;
             }
-            keep.extend(missed);
-            split(&mut scene, &keep);
         }
+    }
+
+    let mut found = match found {
+        Some(found) => abstain(rig, &scene, found, &raw_before, &gaps, &mut notes)?,
+        None => None,
+    };
+    if found.is_none() && rig.axes.len() > 1 && gaps.iter().any(|g| g.counts) {
+        bar.set_message("looking at slow motion alone");
+        found = slow::cross_axis(&scene, rig, &effects, &ranges, &bar)?;
     }
 
     bar.set_message("writing the answer");
@@ -133,20 +144,20 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
 }
 
 /// A search that found something.
-struct Found {
+pub(crate) struct Found {
     /// Fitted on the fit recordings.
-    model: Model,
+    pub model: Model,
     /// Fitted on everything.
-    whole: Model,
+    pub whole: Model,
     /// Effects that cannot be told from each cause.
-    rivals: Vec<Vec<String>>,
-    confidence: Vec<f64>,
-    next: Option<NextExperiment>,
-    tried: Vec<(String, f64)>,
-    /// Some places were taken out after the fit.
-    changed: bool,
+    pub rivals: Vec<Vec<String>>,
+    pub confidence: Vec<f64>,
+    pub next: Option<NextExperiment>,
+    pub tried: Vec<(String, f64)>,
     /// Held-out recordings with a gap that the model does not close although it should have.
-    missed: Vec<usize>,
+    pub missed: Vec<usize>,
+    /// The causes account for slow motion only.
+    pub band: Option<Band>,
 }
 
 fn search(
@@ -163,6 +174,7 @@ fn search(
     bar.set_message("fitting");
     let whole = search.run()?;
     let Some(model) = by_axis(&mut search, whole, effects, gaps)? else { return Ok(None) };
+    let model = stands_elsewhere(&search, model)?;
     let gap = search.gap.max(1.0);
     let tried: Vec<(String, f64)> = search
         .tried
@@ -187,19 +199,53 @@ fn search(
     }
     bar.set_message("checking on the recordings held out");
     let missed = missed(scene, rig, &model, gaps)?;
-    // The rig file gets the parameters of a fit to everything, started from the honest one.
+    let whole = refit(scene, rig, &model, ranges)?;
+    Ok(Some(Found { model, whole, rivals, confidence, next, tried, missed, band: None }))
+}
+
+/// Take out effects that make the held-out recordings worse: they only mended the form of another one where it was fitted.
+fn stands_elsewhere(search: &Search, model: Model) -> Result<Model, Error> {
+    /// Rise of the held-out cost that is no accident, in noise variances.
+    const WORSE: f64 = 30.0;
+    let held = |c: &Channel| c.held_out;
+    let mut model = model;
+    while model.terms.len() > 1 {
+        let mut rigs = vec![model.fit.rig.clone()];
+        for t in 0..model.terms.len() {
+            rigs.push(model.without(search.nominal, t, |_| true)?);
+        }
+        let jobs: Vec<(&Rig, Wanted)> = rigs.iter().map(|r| (r, Wanted::ALL)).collect();
+        let costs: Vec<f64> =
+            search.scene.residuals(&jobs, held)?.iter().map(|stack| cost(stack)).collect();
+        let worst = (0..model.terms.len()).min_by(|&a, &b| costs[a + 1].total_cmp(&costs[b + 1]));
+        let Some(t) = worst.filter(|&t| costs[t + 1] < costs[0] - WORSE) else { break };
+        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(&model)
+            .into_iter()
+            .enumerate()
+            .filter(|(k, _)| *k != t)
+            .map(|(_, term)| term)
+            .unzip();
+        model = search.fit_model(terms, start.concat(), search.effort())?;
+    }
+    Ok(model)
+}
+
+/// The rig file gets the parameters of a fit to everything, started from the honest one.
+pub(crate) fn refit(
+    scene: &Scene,
+    rig: &Rig,
+    model: &Model,
+    ranges: &Ranges,
+) -> Result<Model, Error> {
     let all = |_: &Channel| true;
-    let whole = {
-        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(&model).into_iter().unzip();
-        let knobs = terms
-            .iter()
-            .flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p, ranges)))
-            .collect();
-        let effort = Effort { iterations: 4, ..Effort::default() };
-        let fit = crate::fit::fit(scene, rig, knobs, start.concat(), effort, None, &all)?;
-        Model { terms, fit, ranges: ranges.clone() }
-    };
-    Ok(Some(Found { model, whole, rivals, confidence, next, tried, missed, changed: false }))
+    let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(model).into_iter().unzip();
+    let knobs = terms
+        .iter()
+        .flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p, ranges)))
+        .collect();
+    let effort = Effort { iterations: 4, ..Effort::default() };
+    let fit = crate::fit::fit(scene, rig, knobs, start.concat(), effort, None, &all)?;
+    Ok(Model { terms, fit, ranges: ranges.clone() })
 }
 
 /// Axes that `model` leaves open are searched again, each by itself: what is loud and unknown on one axis must not hide what is
@@ -338,45 +384,13 @@ fn answer(
     let everything = |_: &Channel| true;
     let held = |c: &Channel| c.held_out;
     let any_gap = gaps.iter().any(|g| g.counts);
-    let mut found = found;
     let mut final_rig = rig.clone();
     let mut raw_after = raw_before.clone();
     let mut honest_after = raw_before.clone();
-    if let Some(f) = &mut found {
-        honest_after = scene.raw(&f.model.fit.rig, everything)?;
-        let whole = Energies::new(scene, raw_before, &honest_after, &everything);
-        let by_axis = accept::closed_by_axis(&whole, axes);
-        let overall = whole.gap(axes).closed;
-        // Causes on axes that stay mostly open are proxies of something that is not in the catalogue.
-        let trusted: Vec<bool> = by_axis
-            .iter()
-            .zip(gaps)
-            .map(|(closed, gap)| !gap.counts || closed.is_none_or(accept::names))
-            .collect();
-        let abstained: Vec<String> = trusted
-            .iter()
-            .enumerate()
-            .filter(|(_, t)| !**t)
-            .map(|(a, _)| (a + 1).to_string())
-            .collect();
-        if !abstained.is_empty() {
-            notes.push(format!(
-                "On axis {} the best effects of the catalogue close too little to be named: something else is at work there.",
-                abstained.join(" and ")
-            ));
-        }
-        restrict(rig, f, &trusted)?;
-        if f.model.terms.is_empty() || (overall < 0.0) {
-            found = None;
-        } else if !abstained.is_empty() || f.changed {
-            honest_after = scene.raw(&f.model.fit.rig, everything)?;
-        }
-    }
     if let Some(f) = &found {
         raw_after = scene.raw(&f.whole.fit.rig, everything)?;
+        honest_after = scene.raw(&f.model.fit.rig, everything)?;
         final_rig = f.whole.fit.rig.clone();
-    } else {
-        honest_after = raw_before.clone();
     }
     let energies = Energies::new(scene, raw_before, &honest_after, &held);
     let gap = energies.gap(axes);
@@ -399,8 +413,12 @@ fn answer(
     }
     let white_after = scene.residuals(&[(&final_rig, Wanted::ALL)], everything)?.remove(0);
     let left = accept::gaps(scene, &white_after);
-    let verdict =
-        if any_gap { accept::verdict(gap.closed, causes.len(), &left) } else { Verdict::NoGap };
+    let band = found.as_ref().and_then(|f| f.band.clone());
+    let verdict = match (any_gap, &band) {
+        (false, _) => Verdict::NoGap,
+        (true, Some(_)) => Verdict::PartlyExplained,
+        (true, None) => accept::verdict(gap.closed, causes.len(), &left),
+    };
     let location = if verdict == Verdict::NoGap {
         Vec::new()
     } else {
@@ -430,6 +448,7 @@ fn answer(
         causes,
         next_experiment,
         recordings,
+        band,
         notes: std::mem::take(notes),
     };
     let cuts_after = locate::cuts(scene, &raw_after, &white_after);
@@ -450,12 +469,50 @@ fn answer(
     Ok(Outcome { diagnosis, rig: final_rig, report })
 }
 
-/// Keep only the places that act on trusted axes.
-fn restrict(rig: &Rig, found: &mut Found, trusted: &[bool]) -> Result<(), Error> {
-    if trusted.iter().all(|&t| t) {
+/// Take back causes on axes that stay mostly open: they are proxies of something that is not in the catalogue.
+fn abstain(
+    rig: &Rig,
+    scene: &Scene,
+    mut found: Found,
+    raw_before: &Stack,
+    gaps: &[AxisGapSize],
+    notes: &mut Vec<String>,
+) -> Result<Option<Found>, Error> {
+    let axes = rig.axes.len();
+    let everything = |_: &Channel| true;
+    let after = scene.raw(&found.model.fit.rig, everything)?;
+    let whole = Energies::new(scene, raw_before, &after, &everything);
+    let overall = whole.gap(axes).closed;
+    let trusted: Vec<bool> = accept::closed_by_axis(&whole, axes)
+        .iter()
+        .zip(gaps)
+        .map(|(closed, gap)| !gap.counts || closed.is_none_or(accept::names))
+        .collect();
+    let abstained: Vec<String> =
+        (0..axes).filter(|&a| !trusted[a]).map(|a| (a + 1).to_string()).collect();
+    if !abstained.is_empty() {
+        notes.push(format!(
+            "On axis {} the best effects of the catalogue close too little to be named: something else is at work there.",
+            abstained.join(" and ")
+        ));
+    }
+    let loud: Vec<bool> = gaps.iter().map(|g| g.counts).collect();
+    restrict(rig, &mut found, &trusted, &loud)?;
+    Ok((!found.model.terms.is_empty() && overall >= 0.0).then_some(found))
+}
+
+/// Keep only the places that act on trusted axes, of effects that reach at least one axis with a gap.
+fn restrict(rig: &Rig, found: &mut Found, trusted: &[bool], loud: &[bool]) -> Result<(), Error> {
+    let own = |term: &Term, place| Term { effect: term.effect, places: vec![place] }.axes();
+    let stands = |term: &Term| {
+        term.places.iter().any(|&p| {
+            let axes = own(term, p);
+            axes.iter().all(|&a| trusted[a]) && axes.iter().any(|&a| loud[a])
+        })
+    };
+    if trusted.iter().all(|&t| t) && found.model.terms.iter().all(stands) {
         return Ok(());
     }
-    found.changed = true;
     let mut keep_terms = Vec::new();
     for model in [&mut found.model, &mut found.whole] {
         let mut terms = Vec::new();
@@ -464,8 +521,7 @@ fn restrict(rig: &Rig, found: &mut Found, trusted: &[bool]) -> Result<(), Error>
         for (t, term) in model.terms.iter().enumerate() {
             let mut places = Vec::new();
             for (p, &place) in term.places.iter().enumerate() {
-                let own = Term { effect: term.effect, places: vec![place] };
-                if own.axes().iter().all(|&a| trusted[a]) {
+                if stands(term) && own(term, place).iter().all(|&a| trusted[a]) {
                     places.push(place);
                     values.extend_from_slice(model.values(t, p));
                 }

@@ -36,9 +36,25 @@ pub struct Diagnosis {
     pub next_experiment: Option<NextExperiment>,
     /// Every recording of the session and what it was used for.
     pub recordings: Vec<RecordingGap>,
+    /// Where the causes account for slow motion only: how far the gap shrinks there. The figures of `gap` are over all frequencies.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub band: Option<Band>,
     /// Statements that fit no field: what cannot be told from this session, what was disturbed.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
+}
+
+/// Gap below a frequency, root mean square over axes and samples of held-out recordings.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub struct Band {
+    /// Upper edge, Hz.
+    pub below_hz: f64,
+    /// With the rig as it was given, nm.
+    pub before_nm: f64,
+    /// With the causes added, nm.
+    pub after_nm: f64,
+    /// Measurement noise in the band, nm.
+    pub floor_nm: f64,
 }
 
 /// Root-mean-square gap over axes and samples after settling, held-out recordings only.

@@ -25,6 +25,7 @@ pub mod pyramid;
 pub mod scene;
 pub mod screen;
 pub mod select;
+mod slow;
 pub mod split;
 
 pub use diagnose::{Outcome, diagnose};
@@ -69,6 +70,13 @@ pub fn sentence(diagnosis: &Diagnosis) -> String {
             })
             .collect(),
     );
+    if let Some(band) = &diagnosis.band {
+        return format!(
+            "{causes}: below {:.0} Hz the gap falls from {:.1} nm to {:.1} nm on recordings that were not fitted (noise {:.1} nm there); \
+             above, nothing in the catalogue accounts for it.",
+            band.below_hz, band.before_nm, band.after_nm, band.floor_nm
+        );
+    }
     let closed = 100.0 * gap.closed;
     match diagnosis.verdict {
         Verdict::NoGap => format!(

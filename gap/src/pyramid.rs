@@ -5,6 +5,11 @@
 //! one band can be weighed by the noise and the size of the gap in that band. Level 0 holds the fastest content
 //! (above an eighth of the sample rate, roughly); the last one the mean.
 
+use std::cell::RefCell;
+
+use realfft::RealFftPlanner;
+use realfft::num_complex::Complex;
+
 /// Samples in a block.
 pub const BLOCK: usize = 4;
 /// Most levels: 4^10 samples are a minute and a half at 10 kHz.
@@ -99,6 +104,28 @@ pub fn centre_hz(level: usize, levels: &Levels, rate_hz: f64) -> f64 {
     }
 }
 
+/// What of a series is below a share of half its sample rate. Its bands are not sharp: without this a loud resonance reaches down
+/// into the slow ones.
+pub fn low_pass(series: &[f32], share: f64) -> Vec<f32> {
+    thread_local! {
+        static PLANNER: RefCell<RealFftPlanner<f64>> = RefCell::new(RealFftPlanner::new());
+    }
+    let n = series.len();
+    let (forward, back) = PLANNER
+        .with_borrow_mut(|planner| (planner.plan_fft_forward(n), planner.plan_fft_inverse(n)));
+    let mut input: Vec<f64> = series.iter().map(|&x| f64::from(x)).collect();
+    let mut spectrum = forward.make_output_vec();
+    if forward.process(&mut input, &mut spectrum).is_err() {
+        return series.to_vec();
+    }
+    let edge = ((spectrum.len() as f64 * share).ceil() as usize).min(spectrum.len());
+    spectrum[edge..].fill(Complex::new(0.0, 0.0));
+    if back.process(&mut spectrum, &mut input).is_err() {
+        return series.to_vec();
+    }
+    input.iter().map(|&x| (x / n as f64) as f32).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -126,5 +153,17 @@ mod tests {
         let out = transform(&series, &levels);
         let last: f32 = out[levels.range(levels.count() - 1)].iter().map(|x| x * x).sum();
         assert!((last / (4.0 * 1024.0) - 1.0).abs() < 1e-5);
+    }
+
+    #[test]
+    fn low_pass_keeps_what_is_slow_and_nothing_else() {
+        let tau = std::f64::consts::TAU;
+        let wave = |cycles: f64| -> Vec<f32> {
+            (0..1000).map(|i| (tau * cycles * f64::from(i) / 1000.0).sin() as f32).collect()
+        };
+        let (slow, fast) = (wave(20.0), wave(300.0));
+        let both: Vec<f32> = slow.iter().zip(&fast).map(|(a, b)| a + 50.0 * b).collect();
+        let left = low_pass(&both, 0.25);
+        assert!(left.iter().zip(&slow).all(|(a, b)| (a - b).abs() < 1e-3));
     }
 }

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use crate::Error;
 use crate::floor::{self, Kind, Noise};
 use crate::intake::Track;
-use crate::pyramid::{Levels, transform};
+use crate::pyramid::{BLOCK, Levels, low_pass, transform};
 
 /// Share of the nominal gap of a band that a correct effect of another form may leave.
 pub const TOLERANCE: f64 = 0.05;
@@ -46,6 +46,8 @@ pub struct Channel {
     nuisance: Vec<Vec<f32>>,
     /// Held out from fits.
     pub held_out: bool,
+    /// Share of the spectrum, from 0 Hz, that is looked at; 1 is all of it.
+    pub kept_share: f64,
 }
 
 /// Whitened residuals, one entry a channel; `None` where the simulation could not have changed it.
@@ -353,12 +355,17 @@ impl Channel {
             memory: Vec::new(),
             nuisance: Vec::new(),
             held_out: false,
+            kept_share: 1.0,
         }
     }
 
     /// Band-weighted coefficients of a residual given in units of the noise, unknown memory removed.
     pub fn whiten(&self, residual: &[f32]) -> Vec<f32> {
-        let mut out = transform(residual, &self.levels);
+        let mut out = if self.kept_share < 1.0 {
+            transform(&low_pass(residual, self.kept_share), &self.levels)
+        } else {
+            transform(residual, &self.levels)
+        };
         for (level, &weight) in self.weights.iter().enumerate() {
             if weight != 1.0 {
                 for x in &mut out[self.levels.range(level)] {
@@ -382,6 +389,16 @@ impl Channel {
             .zip(&self.unrepeatable)
             .map(|(p, u)| (1.0 / (u + tolerance * tolerance * (p - u).max(0.0)).sqrt()) as f32)
             .collect();
+        self.orthonormalise();
+    }
+
+    /// Give the `fastest` bands no weight, and keep what is above them from leaking into the others.
+    pub fn leave_out(&mut self, fastest: usize) {
+        let last = self.levels.count() - 1;
+        for weight in &mut self.weights[..fastest.min(last)] {
+            *weight = 0.0;
+        }
+        self.kept_share = (BLOCK as f64).powi(-(fastest as i32));
         self.orthonormalise();
     }
 
@@ -435,7 +452,12 @@ impl Channel {
                 let part = &row[self.levels.range(level)];
                 let weight = f64::from(self.weights[level]);
                 let energy: f64 = part.iter().map(|&x| f64::from(x).powi(2)).sum();
-                energy / (weight * weight) / part.len().max(1) as f64
+                // A band that was left out holds nothing.
+                if weight == 0.0 {
+                    0.0
+                } else {
+                    energy / (weight * weight) / part.len().max(1) as f64
+                }
             })
             .collect()
     }
@@ -445,6 +467,7 @@ impl Channel {
         self.band_power(row)
             .iter()
             .enumerate()
+            .filter(|&(l, _)| self.weights[l] > 0.0)
             .map(|(l, p)| (p - self.unrepeatable[l]) * self.levels.range(l).len() as f64)
             .sum()
     }
@@ -452,7 +475,9 @@ impl Channel {
     /// Energy of a whitened row beyond noise, that of the noise, and the standard deviation squared of the latter; weights undone.
     pub fn excess_of(&self, row: &[f32]) -> (f64, f64, f64) {
         let (mut floor, mut spread) = (0.0, 0.0);
-        for (level, v) in self.unrepeatable.iter().enumerate() {
+        for (level, v) in
+            self.unrepeatable.iter().enumerate().filter(|&(l, _)| self.weights[l] > 0.0)
+        {
             let n = self.levels.range(level).len() as f64;
             floor += v * n;
             spread += 2.0 * v * v * n;

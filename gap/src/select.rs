@@ -143,6 +143,8 @@ pub struct Search<'a> {
     pub tried: Vec<Model>,
     /// What the session offers.
     pub ranges: Ranges,
+    /// Bit mask of the axes where something is missing.
+    loud: u32,
     include: &'a (dyn Fn(&Channel) -> bool + Sync),
     tick: &'a (dyn Fn() + Sync),
 }
@@ -171,6 +173,7 @@ impl<'a> Search<'a> {
             noise,
             tried: Vec::new(),
             ranges: ranges.clone(),
+            loud,
             include,
             tick,
         })
@@ -289,8 +292,21 @@ impl<'a> Search<'a> {
     ) -> Result<Model, Error> {
         let mut terms: Vec<Term> = known.iter().map(|(t, _)| t.clone()).collect();
         let mut start: Vec<f64> = known.iter().flat_map(|(_, v)| v.iter().copied()).collect();
-        terms.push(Term { effect, places: gains.iter().map(|g| g.place).collect() });
+        let mut places: Vec<Place> = gains.iter().map(|g| g.place).collect();
         start.extend(gains.iter().flat_map(|g| g.start.iter().copied()));
+        // An axis where no setting of the screen came near enough to gain anything starts from what suits the others best;
+        // pruning takes it out again if it needs none.
+        if let Some(best) = gains.iter().max_by(|a, b| a.gain.total_cmp(&b.gain))
+            && effect.info().threshold
+        {
+            for axis in (0..self.nominal.axes.len()).filter(|a| self.loud >> a & 1 == 1) {
+                if matches!(best.place, Place::Axis(_)) && !places.contains(&Place::Axis(axis)) {
+                    places.push(Place::Axis(axis));
+                    start.extend_from_slice(&best.start);
+                }
+            }
+        }
+        terms.push(Term { effect, places });
         let best = self.tried.first().map_or(f64::INFINITY, |m| m.fit.cost);
         // With a good model at hand, one that is still far behind after two iterations is not worth more of them.
         let hopeless = if known.is_empty() {

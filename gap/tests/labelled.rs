@@ -45,7 +45,6 @@ fn o1_has_no_gap() {
 }
 
 #[test]
-#[ignore = "right before the last change of the fit, not run since: a minute each"]
 fn o2_creeps() {
     expect("o2", &[("creep", &[1, 2, 3])], 0.95);
 }
@@ -61,13 +60,11 @@ fn o4_is_coupled() {
 }
 
 #[test]
-#[ignore = "right before the last change of the fit, not run since: a minute each"]
 fn o5_is_heavier_and_has_another_hysteresis() {
     expect("o5", &[("hysteresis-shape", &[1, 2, 3]), ("inertia", &[1, 2, 3])], 0.95);
 }
 
 #[test]
-#[ignore = "right before the last change of the fit, not run since: a minute each"]
 fn o6_is_not_in_the_catalogue() {
     let Some(outcome) = diagnose("o6") else { return };
     let d = &outcome.diagnosis;

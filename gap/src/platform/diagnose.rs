@@ -99,6 +99,7 @@ pub fn diagnose(rig: &PlatformRig, session: &Session) -> Result<Outcome, Platfor
     let verdict = verdict(&gap, &selection, &split, memory, &noise);
     let ambiguity = ambiguity(&selection, &found);
     let diagnosis = Diagnosis {
+        band: None,
         verdict,
         location: location(data, &selection, &gap, verdict, &split),
         causes: selection.accepted.iter().map(|accepted| cause(accepted, &found, memory)).collect(),
