@@ -11,7 +11,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use flexstage::link::message::{self, Command, Reply, SCHEMA_HASH};
-use flexstage::link::{Identity, Kind, MAX_FRAME, encode};
+use flexstage::link::{Fields, Identity, Kind, MAX_FRAME, Profile, encode};
 use serde::Serialize;
 
 use crate::decode::{Received, StreamDecoder, StreamStatistics};
@@ -101,6 +101,15 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// Open the way to a board.
+pub fn connect(target: &Target) -> Result<Box<dyn Transport>> {
+    Ok(match target {
+        Target::Usb { serial } => Box::new(UsbTransport::open(serial.as_deref())?),
+        Target::Socket(address) => Box::new(SocketTransport::connect(address)?),
+        Target::Virtual(options) => Box::new(VirtualBoard::start(options)?),
+    })
+}
+
 /// A connected board. Dropping it closes the connection.
 pub struct Device {
     info: DeviceInfo,
@@ -112,11 +121,7 @@ pub struct Device {
 impl Device {
     /// Connect, identify, check the version.
     pub fn open(target: &Target) -> Result<Self> {
-        match target {
-            Target::Usb { serial } => Self::start(Box::new(UsbTransport::open(serial.as_deref())?)),
-            Target::Socket(address) => Self::start(Box::new(SocketTransport::connect(address)?)),
-            Target::Virtual(options) => Self::start(Box::new(VirtualBoard::start(options)?)),
-        }
+        Self::start(connect(target)?)
     }
 
     /// A session over an open transport.
@@ -182,6 +187,18 @@ impl Device {
         let (sender, receiver) = mpsc::channel();
         lock(&self.shared.subscribers).push(sender);
         receiver
+    }
+
+    /// Make the board stream everything that is drawn and recorded, unless it does already: a new start would cost a few ticks.
+    pub fn stream(&self) -> Result<()> {
+        let Reply::Status(status) = self.command(Command::Status)? else {
+            return Err(Error::Invalid("the board did not answer with its status".into()));
+        };
+        let fields = Fields::RECORDING.with(Fields::CYCLES);
+        if status.stream != Some((fields, Profile::Exact)) {
+            self.command(Command::StreamOn { fields, profile: Profile::Exact })?;
+        }
+        Ok(())
     }
 
     /// Send a command and wait for what took effect. A refusal is an error that says why.

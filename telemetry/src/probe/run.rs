@@ -9,12 +9,13 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
 use flexstage::link::message::{Command, Reply, TABLE_CHUNK};
-use flexstage::link::{Fields, Profile};
 use flexstage::{Flags, Settings, State};
 use recording::{Meta, Recording};
 use serde::Serialize;
 
-use super::plan::{CONDITION_S, Experiment, Waveform, check, open_loop, scale_um_per_v};
+use super::limits::{check, open_loop, scale_um_per_v};
+use super::plan::{CONDITION_S, Experiment};
+use super::waveform::Waveform;
 use crate::device::{Batch, Device};
 use crate::recorder::to_recording;
 use crate::sample::Sample;
@@ -117,11 +118,7 @@ pub fn capture(
             if Flags(status.flags).state() == State::Fault { " and clear its faults" } else { "" },
         )));
     }
-    let wanted = Fields::RECORDING;
-    if !status.stream.is_some_and(|(fields, _)| fields.contains(wanted)) {
-        let fields = wanted.with(Fields::CYCLES);
-        device.command(Command::StreamOn { fields, profile: Profile::Exact })?;
-    }
+    device.stream()?;
     let settings = match mode {
         Mode::OpenLoop => open_loop(&before),
         Mode::ClosedLoop => before.clone(),

@@ -195,9 +195,9 @@ fn edit(ui: &mut Ui, settings: &mut Settings, axis: usize) {
     ui.label(RichText::new("feedback").strong());
     Grid::new("feedback").num_columns(2).show(ui, |ui| {
         let f = &mut axis.feedback;
-        number(ui, "proportional", &mut f.proportional_v_per_um, 0.05, "V/um");
-        number(ui, "integral", &mut f.integral_v_per_um_s, 5.0, "V/(um s)");
-        number(ui, "derivative", &mut f.derivative_v_ms_per_um, 0.01, "V ms/um");
+        number(ui, "proportional", &mut f.proportional_v_per_um, 0.05, "V/µm");
+        number(ui, "integral", &mut f.integral_v_per_um_s, 5.0, "V/(µm s)");
+        number(ui, "derivative", &mut f.derivative_v_ms_per_um, 0.01, "V ms/µm");
         number(ui, "derivative filter", &mut f.derivative_filter_hz, 10.0, "Hz");
         number(ui, "setpoint weight", &mut f.setpoint_weight, 0.01, "");
         number(ui, "integral limit", &mut f.integral_limit_v, 0.5, "V");
@@ -231,7 +231,7 @@ fn edit(ui: &mut Ui, settings: &mut Settings, axis: usize) {
         ui.end_row();
         number(ui, "stiffness of the load", &mut axis.mechanism.stiffness_n_per_m, 1e4, "N/m");
         number(ui, "amplifier time constant", &mut axis.amplifier_time_constant_s, 1e-5, "s");
-        number(ui, "origin", &mut axis.origin_um, 0.01, "um");
+        number(ui, "origin", &mut axis.origin_um, 0.01, "µm");
     });
     ui.label(RichText::new("limits").strong());
     Grid::new("limits").num_columns(2).show(ui, |ui| {
@@ -239,8 +239,8 @@ fn edit(ui: &mut Ui, settings: &mut Settings, axis: usize) {
         number(ui, "lowest drive", &mut l.min_v, 0.5, "V");
         number(ui, "highest drive", &mut l.max_v, 0.5, "V");
         number(ui, "slew", &mut l.slew_v_per_ms, 1.0, "V/ms");
-        number(ui, "lowest position", &mut l.min_um, 0.1, "um");
-        number(ui, "highest position", &mut l.max_um, 0.1, "um");
-        number(ui, "following error", &mut l.following_error_um, 0.05, "um");
+        number(ui, "lowest position", &mut l.min_um, 0.1, "µm");
+        number(ui, "highest position", &mut l.max_um, 0.1, "µm");
+        number(ui, "following error", &mut l.following_error_um, 0.05, "µm");
     });
 }

@@ -35,7 +35,7 @@ struct Row {
 const ROWS: [Row; 3] = [
     Row {
         name: "position",
-        unit: "um",
+        unit: "µm",
         factor: 1.0,
         channels: &[Channel::Position, Channel::Reference],
     },
@@ -240,7 +240,7 @@ fn cursor_table(ui: &mut Ui, view: &TimeView, visible: &Visible, history: &Histo
                 .filter(|(_, axis)| visible.axes[*axis])
                 .collect();
             for (channel, axis) in &traces {
-                let text = format!("{} {} ({})", channel.name(), axis + 1, channel.unit());
+                let text = format!("{} {} ({})", channel.name(), axis + 1, unit(*channel));
                 ui.label(RichText::new(text).color(axis_color(*axis, false)).small());
             }
             ui.end_row();
@@ -266,4 +266,9 @@ fn cursor_table(ui: &mut Ui, view: &TimeView, visible: &Visible, history: &Histo
             }
         });
     });
+}
+
+/// Unit of a channel as this window writes it.
+fn unit(channel: Channel) -> &'static str {
+    if channel.unit() == "um" { "µm" } else { channel.unit() }
 }

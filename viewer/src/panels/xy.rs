@@ -17,7 +17,7 @@ pub fn show(ui: &mut Ui, view: &TimeView, axes: [bool; AXES], history: &History)
     Plot::new("xy")
         .legend(Legend::default())
         .x_axis_label("drive (V)")
-        .y_axis_label("position (um)")
+        .y_axis_label("position (µm)")
         .show(ui, |plot| {
             for axis in (0..AXES).filter(|&axis| axes[axis]) {
                 let x = history.slice(Channel::Drive, axis, from, to);

@@ -8,13 +8,15 @@
 
 use std::f64::consts::TAU;
 
-use flexstage::settings::{FeedbackSettings, NotchSettings};
+use flexstage::settings::{AxisSettings, FeedbackSettings, NotchSettings};
 use flexstage::{Settings, TICK_HZ};
 use num_complex::Complex64;
 use serde::Serialize;
 
 use crate::measure::margins::{Margins, margins};
 use crate::measure::{Frf, FrfPoint};
+
+pub mod study;
 
 /// Smallest distance of the loop gain from -1 that a proposal may have: 0.6 bounds the sensitivity peak at 1.67, which
 /// implies at least 35 degrees and 8 dB (K. J. Astrom, R. M. Murray, "Feedback Systems", section 10.3).
@@ -53,6 +55,51 @@ fn notch_response(notch: &NotchSettings, back: Complex64) -> Complex64 {
     let zeros = middle + (1.0 + depth * alpha) + square * (1.0 - depth * alpha);
     let poles = middle + (1.0 + alpha) + square * (1.0 - alpha);
     zeros / poles
+}
+
+/// Reference (um) to drive (V) of the same feedback: the derivative takes only its share of the setpoint, and the reference waits for the
+/// sensor.
+pub fn setpoint_response(feedback: &FeedbackSettings, frequency_hz: f64) -> Complex64 {
+    let weighted = FeedbackSettings {
+        derivative_v_ms_per_um: feedback.derivative_v_ms_per_um * feedback.setpoint_weight,
+        ..feedback.clone()
+    };
+    let delay = TAU * frequency_hz * f64::from(feedback.sensor_delay_s);
+    controller_response(&weighted, frequency_hz) * Complex64::from_polar(1.0, -delay)
+}
+
+/// What the feedforward's amplifier lead multiplies the drive by.
+fn lead_response(axis: &AxisSettings, frequency_hz: f64) -> Complex64 {
+    let rate = f64::from(TICK_HZ);
+    if !axis.feedforward.amplifier_lead {
+        return Complex64::new(1.0, 0.0);
+    }
+    let change = 1.0 - Complex64::from_polar(1.0, -TAU * frequency_hz / rate);
+    1.0 + change * f64::from(axis.amplifier_time_constant_s) * rate
+}
+
+/// Reference to position with new settings, from what was measured with the old ones.
+///
+/// With position y, reference r, plant P, feedforward F and feedback C (C' as the reference sees it), y = P (F r + C' r - C y). The
+/// measured closed loop T = (P F + P C') / (1 + P C) gives P F without a model of the hysteresis in it; new feedback and lead go in
+/// by the same equation. Only where both were measured with coherence.
+pub fn predict_closed_loop(plant: &Frf, closed: &Frf, old: &AxisSettings, new: &AxisSettings) -> Frf {
+    let points = closed
+        .points
+        .iter()
+        .filter_map(|t| {
+            let near = |p: &&FrfPoint| (p.frequency_hz - t.frequency_hz).abs() < 1e-3 * t.frequency_hz;
+            let p = plant.points.iter().find(near)?;
+            let f = t.frequency_hz;
+            let forward = t.response * (1.0 + p.response * controller_response(&old.feedback, f))
+                - p.response * setpoint_response(&old.feedback, f);
+            let forward = forward * lead_response(new, f) / lead_response(old, f);
+            let response = (forward + p.response * setpoint_response(&new.feedback, f))
+                / (1.0 + p.response * controller_response(&new.feedback, f));
+            Some(FrfPoint { response, coherence: t.coherence.min(p.coherence), ..*t })
+        })
+        .collect();
+    Frf { points }
 }
 
 /// First-order lag with delay fitted to a response.
