@@ -148,7 +148,10 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             let lines = response_lines(&t, "um/um");
             let page = Report::new(format!("Closed loop of axis {axis}"))
                 .verdict(lines.join("; "))
-                .figure(&bode("Reference to position", &t, "measured"), "With the settings on the board.");
+                .figure(
+                    &bode("Reference to position", &t, "measured"),
+                    "With the settings on the board.",
+                );
             (json!({"axis": axis, "closed_loop": frf_json(&t)}), lines, page)
         }
         What::Step { axis, from_um, to_um } => {

@@ -19,6 +19,11 @@ pub struct Args {
 
 /// Run the command.
 pub fn run(args: Args) -> anyhow::Result<()> {
+    // A socket buffers seconds of a board that runs ahead, and commands would come that much too late.
+    anyhow::ensure!(
+        !args.board.fast,
+        "serve --fast: a served board runs in real time; use --virtual --fast in the command itself"
+    );
     let stop: Arc<AtomicBool> = on_interrupt()?;
     let board = telemetry::device::connect(&args.board.target()?)?;
     let name = board.name();

@@ -119,7 +119,9 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         println!("{}", serde_json::to_string_pretty(&out)?);
     }
     if let Some(path) = &args.out {
-        page(&study, applied.as_ref()).write(path).with_context(|| format!("{}: cannot write", path.display()))?;
+        page(&study, applied.as_ref())
+            .write(path)
+            .with_context(|| format!("{}: cannot write", path.display()))?;
     }
     Ok(())
 }
@@ -158,19 +160,29 @@ fn page(study: &Study, applied: Option<&Applied>) -> Report {
     Report::new(format!("Tuning of axis {}", study.axis + 1))
         .verdict(verdict)
         .table(table)
-        .figure(&closed, "Closed loop: before, as predicted for the proposal, and as measured with it.")
+        .figure(
+            &closed,
+            "Closed loop: before, as predicted for the proposal, and as measured with it.",
+        )
         .figure(&loop_gain, "Measured drive to position times the feedback.")
-        .figure(&bode("Drive to position (dB of um/V)", &study.before.plant, "measured"), "Open loop, around the bias.")
+        .figure(
+            &bode("Drive to position (dB of um/V)", &study.before.plant, "measured"),
+            "Open loop, around the bias.",
+        )
 }
 
 fn agreement(study: &Study, applied: &Applied) -> Option<String> {
     let off = distance(&study.closed_predicted, &applied.closed, BAND_HZ)?;
-    Some(format!("prediction and measurement differ by {:.1} % rms up to {BAND_HZ:.0} Hz", 100.0 * off))
+    Some(format!(
+        "prediction and measurement differ by {:.1} % rms up to {BAND_HZ:.0} Hz",
+        100.0 * off
+    ))
 }
 
 /// Bandwidth and peak of a closed loop in words.
 fn closed_words(t: &Frf) -> String {
-    let bandwidth = t.bandwidth_hz().map_or("above the measured band".into(), |f| format!("at {f:.0} Hz"));
+    let bandwidth =
+        t.bandwidth_hz().map_or("above the measured band".into(), |f| format!("at {f:.0} Hz"));
     let peak = t.coherent(0.8).points.iter().map(|p| p.magnitude_db()).fold(f64::MIN, f64::max);
     format!("closed loop -3 dB {bandwidth}, highest gain {peak:.1} dB")
 }

@@ -1,12 +1,12 @@
 //! From rig to verdict, as a person would: an effect is planted in the rig behind a board, `flexstage probe` drives it over the link,
 //! `flexstage diagnose` gets the session and the model without the effect, and has to name it.
 //!
-//! The board is the virtual one (the control core and the wire format of the firmware) behind a local socket. The emulated
-//! board speaks the same link and is driven by hand the same way, but half a minute of probing in it takes minutes.
+//! The board is the virtual one: control core and wire format of the firmware against a simulated plant, faster than real time. The emulated
+//! board speaks the same link (`--connect`), but half a minute of probing in it takes minutes.
 
 mod common;
 
-use common::{Board, json, ok, run, text};
+use common::{json, ok, run, text};
 use host_sim::Rig;
 use host_sim::effects::Place;
 
@@ -20,15 +20,24 @@ fn verdict(effect: &str, axis: usize, parameter: &str, value: f64) -> serde_json
     std::fs::write(path("model.toml"), nominal.to_toml()).unwrap();
     std::fs::write(path("rig.toml"), planted.to_toml()).unwrap();
     let axis = (axis + 1).to_string();
-    {
-        let rig = path("rig.toml");
-        let board = Board::start(&["--fast", "--virtual-rig", text(&rig), "--virtual-seed", "7"]);
-        let session = path("session");
-        let args = ["probe", "--length", "quick", "--axes", &axis, "--json", text(&session)];
-        let report = json(&ok(board.run(&args)));
-        assert_eq!(report["lost_ticks"], 0);
-    }
-    let (model, session, out) = (path("model.toml"), path("session"), path("out"));
+    let (rig, session) = (path("rig.toml"), path("session"));
+    let report = json(&ok(run(&[
+        "probe",
+        "--virtual",
+        "--fast",
+        "--virtual-rig",
+        text(&rig),
+        "--virtual-seed",
+        "7",
+        "--length",
+        "quick",
+        "--axes",
+        &axis,
+        "--json",
+        text(&session),
+    ])));
+    assert_eq!(report["lost_ticks"], 0);
+    let (model, out) = (path("model.toml"), path("out"));
     ok(run(&["diagnose", "--rig", text(&model), text(&session), "--out", text(&out)]));
     assert!(std::fs::read_to_string(out.join("report.html")).unwrap().contains(effect));
     json(&std::fs::read_to_string(out.join("diagnosis.json")).unwrap())

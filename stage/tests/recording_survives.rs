@@ -37,7 +37,7 @@ fn a_killed_program_loses_at_most_the_last_second() {
     let kept = Recording::read(&file).unwrap();
     let seconds = kept.span_ticks() as f64 / 1e4;
     // The stream starts some milliseconds after the file is made.
-    assert!(seconds >= recorded - 1.3 && kept.lost().is_empty(), "{seconds} s of {recorded} s");
+    assert!(seconds >= recorded - 1.3, "{seconds} s of {recorded} s");
     assert!(!part.exists());
 }
 

@@ -181,8 +181,9 @@ pub fn serve(
         // With nobody there what arrives is thrown away, so that the next client finds fresh samples.
         match board.receive(POLL) {
             Ok(Some(bytes)) => {
-                let is_gone =
-                    client.as_mut().is_some_and(|c| wire::write(&mut c.writer, IN, &bytes).is_err());
+                let is_gone = client
+                    .as_mut()
+                    .is_some_and(|c| wire::write(&mut c.writer, IN, &bytes).is_err());
                 if is_gone {
                     client = None;
                     event(Event::Left);

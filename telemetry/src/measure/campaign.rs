@@ -136,7 +136,12 @@ fn excite(
 }
 
 /// Response of one recorded column to another.
-fn respond(excitation: Excitation, recording: &Recording, input: &[f32], output: &[f32]) -> Result<Frf> {
+fn respond(
+    excitation: Excitation,
+    recording: &Recording,
+    input: &[f32],
+    output: &[f32],
+) -> Result<Frf> {
     let rate = recording.meta.sample_rate_hz;
     let (input, output) = (on_ticks(recording, input), on_ticks(recording, output));
     let out = match excitation {
@@ -316,7 +321,9 @@ pub fn noise_floor(
         }
         let batch = stream.recv_timeout(SILENCE).map_err(|_| Error::Lost {
             board: device.info().name.clone(),
-            reason: device.ended().unwrap_or_else(|| format!("no samples for {} s", SILENCE.as_secs())),
+            reason: device
+                .ended()
+                .unwrap_or_else(|| format!("no samples for {} s", SILENCE.as_secs())),
         })?;
         if batch.restarted {
             let board = device.info().name.clone();
@@ -325,7 +332,8 @@ pub fn noise_floor(
         for sample in batch.samples.iter() {
             if Flags(sample.flags).state() == State::Run {
                 return Err(Error::Invalid(
-                    "the noise floor is measured at rest, a waveform runs: hold or stop it first".into(),
+                    "the noise floor is measured at rest, a waveform runs: hold or stop it first"
+                        .into(),
                 ));
             }
             done = sample.tick - *first.get_or_insert(sample.tick);

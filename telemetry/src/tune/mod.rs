@@ -83,12 +83,18 @@ fn lead_response(axis: &AxisSettings, frequency_hz: f64) -> Complex64 {
 /// With position y, reference r, plant P, feedforward F and feedback C (C' as the reference sees it), y = P (F r + C' r - C y). The
 /// measured closed loop T = (P F + P C') / (1 + P C) gives P F without a model of the hysteresis in it; new feedback and lead go in
 /// by the same equation. Only where both were measured with coherence.
-pub fn predict_closed_loop(plant: &Frf, closed: &Frf, old: &AxisSettings, new: &AxisSettings) -> Frf {
+pub fn predict_closed_loop(
+    plant: &Frf,
+    closed: &Frf,
+    old: &AxisSettings,
+    new: &AxisSettings,
+) -> Frf {
     let points = closed
         .points
         .iter()
         .filter_map(|t| {
-            let near = |p: &&FrfPoint| (p.frequency_hz - t.frequency_hz).abs() < 1e-3 * t.frequency_hz;
+            let near =
+                |p: &&FrfPoint| (p.frequency_hz - t.frequency_hz).abs() < 1e-3 * t.frequency_hz;
             let p = plant.points.iter().find(near)?;
             let f = t.frequency_hz;
             let forward = t.response * (1.0 + p.response * controller_response(&old.feedback, f))

@@ -79,10 +79,7 @@ fn settings_of(device: &Device) -> Result<Settings> {
 }
 
 /// Progress over two measurements.
-fn half(
-    index: usize,
-    progress: &mut dyn FnMut(&Progress),
-) -> impl FnMut(&Progress) + '_ {
+fn half(index: usize, progress: &mut dyn FnMut(&Progress)) -> impl FnMut(&Progress) + '_ {
     move |p: &Progress| {
         let done_s = p.done_s + index as f64 * p.total_s;
         progress(&Progress { index, count: 2, done_s, total_s: 2.0 * p.total_s, ..p.clone() });
@@ -207,11 +204,26 @@ fn model_changes(old: &Settings, new: &Settings, axis: usize) -> Vec<String> {
         }
     };
     let mega = 1e-6;
-    change("load stiffness", a.mechanism.stiffness_n_per_m * mega, b.mechanism.stiffness_n_per_m * mega, "N/um");
-    change("stack stiffness", a.stack.stiffness_n_per_m * mega, b.stack.stiffness_n_per_m * mega, "N/um");
+    change(
+        "load stiffness",
+        a.mechanism.stiffness_n_per_m * mega,
+        b.mechanism.stiffness_n_per_m * mega,
+        "N/um",
+    );
+    change(
+        "stack stiffness",
+        a.stack.stiffness_n_per_m * mega,
+        b.stack.stiffness_n_per_m * mega,
+        "N/um",
+    );
     change("force per volt", a.stack.transformer_n_per_v, b.stack.transformer_n_per_v, "N/V");
     change("moving mass", a.mechanism.mass_kg, b.mechanism.mass_kg, "kg");
-    change("amplifier time constant", a.amplifier_time_constant_s * 1e3, b.amplifier_time_constant_s * 1e3, "ms");
+    change(
+        "amplifier time constant",
+        a.amplifier_time_constant_s * 1e3,
+        b.amplifier_time_constant_s * 1e3,
+        "ms",
+    );
     if a.stack.hysteresis != b.stack.hysteresis {
         out.push(format!("hysteresis: {} slip elements of the rig file", b.stack.hysteresis.len()));
     }

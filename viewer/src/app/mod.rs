@@ -17,6 +17,7 @@ use crate::panels::drive::Drive;
 use crate::panels::files::Files;
 use crate::panels::gains::Gains;
 use crate::panels::generator::Generator;
+use crate::panels::histogram::Histogram;
 use crate::panels::measure::Measure;
 use crate::panels::probe::Probe;
 use crate::panels::spectrum::Spectrum;
@@ -64,6 +65,7 @@ pub struct App {
     measure: Measure,
     probe: Probe,
     spectrum: Spectrum,
+    histogram: Histogram,
     files: Files,
     /// Number of the last bad news that the person has put away.
     dismissed: u64,
@@ -99,6 +101,7 @@ impl App {
             measure: Measure::default(),
             probe: Probe::new(options.rig.clone()),
             spectrum: Spectrum::default(),
+            histogram: Histogram::default(),
             files: Files::default(),
             dismissed: 0,
             frame_s: 1.0 / 60.0,
@@ -184,10 +187,12 @@ impl App {
     fn open_recording(&mut self, path: PathBuf, csv_rate_hz: f64) {
         let source = |sample_rate_hz| Source::Recording { path: path.clone(), sample_rate_hz };
         // A CSV of our own carries its rate; the one given is for others.
-        let opened = Link::start(&source(None), self.options.history_s)
-            .or_else(|first| match is_csv(&path) {
-                true => Link::start(&source(Some(csv_rate_hz)), self.options.history_s),
-                false => Err(first),
+        let opened =
+            Link::start(&source(None), self.options.history_s).or_else(|first| {
+                match is_csv(&path) {
+                    true => Link::start(&source(Some(csv_rate_hz)), self.options.history_s),
+                    false => Err(first),
+                }
             });
         match opened {
             Ok(link) => {

@@ -6,11 +6,9 @@ use eframe::egui::{RichText, ScrollArea, Ui};
 use telemetry::AXES;
 
 use super::{App, Left, Right, now};
-use crate::link::{LinkState, show_file};
-use crate::panels::{
-    BAD, files, gains, histogram, log, measure, probe, response, status, timing, xy,
-};
 use crate::Source;
+use crate::link::{LinkState, show_file};
+use crate::panels::{BAD, files, gains, log, measure, probe, response, status, timing, xy};
 
 impl App {
     pub(super) fn left_panel(&mut self, ui: &mut Ui) {
@@ -164,7 +162,7 @@ impl App {
         match self.right {
             Right::Status => status::show(ui, &history, info.as_deref(), statistics),
             Right::Loop => xy::show(ui, &self.view, axes, &history),
-            Right::Error => histogram::show(ui, &self.view, axes, &history),
+            Right::Error => self.histogram.show(ui, &self.view, axes, &history),
             Right::Spectrum => self.spectrum.show(ui, &self.view, axes, &history),
             Right::Timing => timing::show(ui, &history),
             Right::Response => {}

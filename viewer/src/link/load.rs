@@ -7,7 +7,10 @@ use telemetry::{AXES, History, Sample};
 use super::LinkState;
 
 /// A recording as history.
-pub(super) fn load(path: &Path, sample_rate_hz: Option<f64>) -> anyhow::Result<(History, LinkState)> {
+pub(super) fn load(
+    path: &Path,
+    sample_rate_hz: Option<f64>,
+) -> anyhow::Result<(History, LinkState)> {
     let is_csv = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv"));
     let recording = match sample_rate_hz {
         Some(rate) if is_csv => recording::Recording::read_csv(path, rate)?,
@@ -43,4 +46,3 @@ pub(super) fn load(path: &Path, sample_rate_hz: Option<f64>) -> anyhow::Result<(
     );
     Ok((history, LinkState::Recording { path: path.to_owned(), about }))
 }
-

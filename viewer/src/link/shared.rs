@@ -44,7 +44,6 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-
 impl Shared {
     pub(super) fn new(history: History, state: LinkState) -> Self {
         Self {
@@ -174,4 +173,3 @@ impl Shared {
         Ok(device.ended().unwrap_or_else(|| "the session was closed".into()))
     }
 }
-

@@ -131,7 +131,8 @@ impl Measure {
         );
         let is_running = matches!(state, MeasureState::Running(_));
         ui.horizontal(|ui| {
-            if ui.add_enabled(can_start && !is_running, Button::new("Start measurement")).clicked() {
+            if ui.add_enabled(can_start && !is_running, Button::new("Start measurement")).clicked()
+            {
                 out = Some(Request::Start(self.measurement()));
             }
             if ui.add_enabled(is_running, Button::new("Stop measuring")).clicked() {
@@ -251,7 +252,9 @@ fn figures(ui: &mut Ui, measured: &Measured, can_apply: bool) -> bool {
                 }
                 ui.end_row();
                 for n in noise {
-                    ui.label(RichText::new(n.axis.to_string()).color(axis_color(n.axis - 1, false)));
+                    ui.label(
+                        RichText::new(n.axis.to_string()).color(axis_color(n.axis - 1, false)),
+                    );
                     ui.monospace(format!("{:.2} nm", n.rms_nm));
                     ui.monospace(format!("{:.2} nm", n.above_100hz_nm));
                     let lines: Vec<String> =
@@ -273,7 +276,9 @@ fn figures(ui: &mut Ui, measured: &Measured, can_apply: bool) -> bool {
                 None => {
                     return ui
                         .add_enabled(can_apply, Button::new("Apply and measure again"))
-                        .on_hover_text("Puts the proposal into effect on the board; not saved to flash")
+                        .on_hover_text(
+                            "Puts the proposal into effect on the board; not saved to flash",
+                        )
                         .clicked();
                 }
                 Some(applied) => {
@@ -287,7 +292,9 @@ fn figures(ui: &mut Ui, measured: &Measured, can_apply: bool) -> bool {
                         );
                         ui.label(RichText::new(text).color(if off < 0.1 { GOOD } else { WARN }));
                     }
-                    ui.label(RichText::new("in effect, not saved: Settings, Save to board").color(WARN));
+                    ui.label(
+                        RichText::new("in effect, not saved: Settings, Save to board").color(WARN),
+                    );
                 }
             }
         }

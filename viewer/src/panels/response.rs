@@ -79,11 +79,8 @@ pub fn show(ui: &mut Ui, measured: Option<&Measured>) {
             ui.label("reference to position");
             let half = ui.available_height() * 0.55;
             bode(ui, "tuned closed loop", "dB", &curves, false, half);
-            let next = with_controller(
-                study.before.plant.clone(),
-                &study.proposal.settings,
-                study.axis,
-            );
+            let next =
+                with_controller(study.before.plant.clone(), &study.proposal.settings, study.axis);
             let predicted = Curve {
                 style: LineStyle::dashed_loose(),
                 ..Curve::solid("predicted", &next.loop_gain, Color32::WHITE)

@@ -90,24 +90,23 @@ impl Spectrum {
                 let (f, v) = (10f64.powf(p.x), 10f64.powf(p.y));
                 Some(format!("{} Hz\n{} {unit}", log_axis::number(f), log_axis::number(v)))
             });
-        log_axis::log_y(log_axis::frequency(plot))
-            .show(ui, |plot| {
-                for (axis, psd) in &self.spectra {
-                    let values = if is_integrated {
-                        psd.rms_above()
-                    } else {
-                        psd.density.iter().map(|d| d.sqrt()).collect()
-                    };
-                    let points: Vec<[f64; 2]> = psd
-                        .frequency_hz
-                        .iter()
-                        .zip(values)
-                        .filter(|(_, v)| *v > 0.0)
-                        .map(|(f, v)| [f.log10(), (v * factor).log10()])
-                        .collect();
-                    let name = format!("axis {}", axis + 1);
-                    plot.line(Line::new(name, points).color(axis_color(*axis, false)).width(1.2));
-                }
-            });
+        log_axis::log_y(log_axis::frequency(plot)).show(ui, |plot| {
+            for (axis, psd) in &self.spectra {
+                let values = if is_integrated {
+                    psd.rms_above()
+                } else {
+                    psd.density.iter().map(|d| d.sqrt()).collect()
+                };
+                let points: Vec<[f64; 2]> = psd
+                    .frequency_hz
+                    .iter()
+                    .zip(values)
+                    .filter(|(_, v)| *v > 0.0)
+                    .map(|(f, v)| [f.log10(), (v * factor).log10()])
+                    .collect();
+                let name = format!("axis {}", axis + 1);
+                plot.line(Line::new(name, points).color(axis_color(*axis, false)).width(1.2));
+            }
+        });
     }
 }
