@@ -93,7 +93,9 @@ fn sixty_pictures_a_second_in_bounded_memory() {
             .collect();
         times.sort_by(f64::total_cmp);
         let (median, worst) = (times[times.len() / 2], times[times.len() - 1]);
-        println!("{window:>6} on screen, {panel:<9}: {median:5.2} ms a picture, worst {worst:5.2} ms");
+        println!(
+            "{window:>6} on screen, {panel:<9}: {median:5.2} ms a picture, worst {worst:5.2} ms"
+        );
         // A sixtieth of a second is 16.7 ms, of which the graphics card's driver needs some.
         assert!(median < 12.0, "{window}, {panel}: {median} ms a picture");
     }

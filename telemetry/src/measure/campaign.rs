@@ -16,7 +16,7 @@ use crate::probe::plan::Phase;
 use crate::probe::waveform::{Waveform, odd_multisine};
 use crate::probe::{Experiment, Mode, Progress, capture};
 use crate::sample::AXES;
-use crate::tune::controller_response;
+use crate::tune::loop_gain;
 use crate::{Error, Result};
 
 /// Period of the multisine in ticks: one table point a tick, lines every 9.77 Hz.
@@ -205,7 +205,7 @@ pub fn frequency_response(
 /// The loop that a measured plant makes with a board's feedback.
 pub fn with_controller(plant: Frf, settings: &Settings, axis: usize) -> Response {
     let feedback = &settings.axes[axis].feedback;
-    let loop_gain = plant.coherent(COHERENT).map(|f| controller_response(feedback, f));
+    let loop_gain = loop_gain(&plant.coherent(COHERENT), feedback);
     let margins = margins(&loop_gain);
     Response { plant, loop_gain, margins }
 }

@@ -57,6 +57,11 @@ fn notch_response(notch: &NotchSettings, back: Complex64) -> Complex64 {
     zeros / poles
 }
 
+/// The controller's last act: codes computed in a tick are latched by the next one.
+pub fn latch(frequency_hz: f64) -> Complex64 {
+    Complex64::from_polar(1.0, -TAU * frequency_hz / f64::from(TICK_HZ))
+}
+
 /// Reference (um) to drive (V) of the same feedback: the derivative takes only its share of the setpoint, and the reference waits for the
 /// sensor.
 pub fn setpoint_response(feedback: &FeedbackSettings, frequency_hz: f64) -> Complex64 {
@@ -80,8 +85,8 @@ fn lead_response(axis: &AxisSettings, frequency_hz: f64) -> Complex64 {
 
 /// Reference to position with new settings, from what was measured with the old ones.
 ///
-/// With position y, reference r, plant P, feedforward F and feedback C (C' as the reference sees it), y = P (F r + C' r - C y). The
-/// measured closed loop T = (P F + P C') / (1 + P C) gives P F without a model of the hysteresis in it; new feedback and lead go in
+/// With position y, reference r, plant P (from the drive as it is held, with the latch before it), feedforward F and feedback C (C' as
+/// the reference sees it), y = P (F r + C' r - C y). The measured closed loop T = (P F + P C') / (1 + P C) gives P F without a model of the hysteresis in it; new feedback and lead go in
 /// by the same equation. Only where both were measured with coherence.
 pub fn predict_closed_loop(
     plant: &Frf,
@@ -97,11 +102,12 @@ pub fn predict_closed_loop(
                 |p: &&FrfPoint| (p.frequency_hz - t.frequency_hz).abs() < 1e-3 * t.frequency_hz;
             let p = plant.points.iter().find(near)?;
             let f = t.frequency_hz;
-            let forward = t.response * (1.0 + p.response * controller_response(&old.feedback, f))
-                - p.response * setpoint_response(&old.feedback, f);
+            let plant = p.response * latch(f);
+            let forward = t.response * (1.0 + plant * controller_response(&old.feedback, f))
+                - plant * setpoint_response(&old.feedback, f);
             let forward = forward * lead_response(new, f) / lead_response(old, f);
-            let response = (forward + p.response * setpoint_response(&new.feedback, f))
-                / (1.0 + p.response * controller_response(&new.feedback, f));
+            let response = (forward + plant * setpoint_response(&new.feedback, f))
+                / (1.0 + plant * controller_response(&new.feedback, f));
             Some(FrfPoint { response, coherence: t.coherence.min(p.coherence), ..*t })
         })
         .collect();
@@ -191,8 +197,13 @@ pub struct Proposal {
     pub changes: Vec<String>,
 }
 
+/// Loop gain of a measured plant (held drive to position) with a feedback.
+pub fn loop_gain(plant: &Frf, feedback: &FeedbackSettings) -> Frf {
+    plant.map(|f| controller_response(feedback, f) * latch(f))
+}
+
 fn figures(plant: &Frf, feedback: &FeedbackSettings) -> LoopFigures {
-    let loop_gain = plant.map(|f| controller_response(feedback, f));
+    let loop_gain = loop_gain(plant, feedback);
     let low: Vec<f64> = loop_gain
         .points
         .iter()
@@ -216,6 +227,16 @@ pub fn propose(plant: &Frf, settings: &Settings, axis: usize) -> Option<Proposal
     let plant = plant.coherent(0.8);
     let fit = fit_plant(&plant)?;
     let before = settings.axes[axis].feedback.clone();
+    // The gain for small motion, in which all slip elements stick, is the lowest that the stage has; on a long stroke they slip and
+    // leave T / (k_p + k). The margins have to hold for both.
+    let model_gain = {
+        let a = &settings.axes[axis];
+        f64::from(a.stack.transformer_n_per_v)
+            / f64::from(a.stack.stiffness_n_per_m + a.mechanism.stiffness_n_per_m)
+            * 1e6
+    };
+    let growth = (model_gain / fit.gain_um_per_v).clamp(1.0, 2.0);
+    let strong = plant.map(|_| Complex64::new(growth, 0.0));
     let mut base = before.clone();
     base.notches.clear();
     if let Some((frequency_hz, _)) = plant.resonance() {
@@ -242,7 +263,7 @@ pub fn propose(plant: &Frf, settings: &Settings, axis: usize) -> Option<Proposal
                 let is_better = best
                     .as_ref()
                     .is_none_or(|(b, _)| figures.left_of_disturbance < b.left_of_disturbance);
-                if is_better && is_safe(&figures) {
+                if is_better && is_safe(&figures) && is_safe(&self::figures(&strong, &trial)) {
                     best = Some((figures, trial));
                 }
             }

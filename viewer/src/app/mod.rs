@@ -168,7 +168,7 @@ impl App {
 
     /// A file dropped on the window is opened.
     fn take_dropped(&mut self, context: &Context) {
-        let dropped = context.input(|i| i.raw.dropped_files.first().and_then(|f| f.path.clone()));
+        let dropped = context.input(|i| i.raw.dropped_files.first().map(|f| f.path().to_owned()));
         if let Some(path) = dropped {
             let rate = self.files.sample_rate_hz();
             self.open_recording(path, rate);

@@ -71,7 +71,7 @@ impl App {
             && let Some(line) = self.link.log().last()
         {
             ui.separator();
-            let text = RichText::new(format!("{} {}", line.utc, line.text)).small();
+            let text = RichText::new(format!("{} {}", line.utc, line.text));
             ui.label(if line.is_error { text.color(BAD) } else { text.weak() });
         }
     }

@@ -89,7 +89,7 @@ impl Gains {
             ),
         };
         for (name, old, new) in changes.iter().take(4) {
-            ui.label(RichText::new(format!("{name}: {old} -> {new}")).small());
+            ui.label(RichText::new(format!("{name}: {old} -> {new}")));
         }
         ui.horizontal_wrapped(|ui| {
             let can = problem.is_none() && !changes.is_empty();
@@ -127,8 +127,7 @@ impl Gains {
             } else {
                 "what is in effect is not saved: a restart forgets it"
             })
-            .color(if is_stored { GOOD } else { WARN })
-            .small(),
+            .color(if is_stored { GOOD } else { WARN }),
         );
         ui.horizontal(|ui| {
             ui.label("file");
@@ -159,15 +158,15 @@ impl Gains {
         });
         match &self.comparison {
             Some(Err(error)) => {
-                ui.label(RichText::new(error).color(BAD).small());
+                ui.label(RichText::new(error).color(BAD));
             }
             Some(Ok(lines)) if lines.is_empty() => {
-                ui.label(RichText::new("board and file agree").color(GOOD).small());
+                ui.label(RichText::new("board and file agree").color(GOOD));
             }
             Some(Ok(lines)) => {
-                ui.label(RichText::new(format!("{} differ (board, file):", lines.len())).small());
+                ui.label(RichText::new(format!("{} differ (board, file):", lines.len())));
                 for (name, board, file) in lines.iter().take(6) {
-                    ui.label(RichText::new(format!("{name}: {board}, {file}")).small());
+                    ui.label(RichText::new(format!("{name}: {board}, {file}")));
                 }
             }
             None => {}
@@ -219,6 +218,7 @@ fn edit(ui: &mut Ui, settings: &mut Settings, axis: usize) {
             axis.feedback.notches.pop();
         }
     });
+    ui.add_space(6.0);
     ui.label(RichText::new("feedforward").strong());
     Grid::new("feedforward").num_columns(2).show(ui, |ui| {
         let f = &mut axis.feedforward;
@@ -233,6 +233,7 @@ fn edit(ui: &mut Ui, settings: &mut Settings, axis: usize) {
         number(ui, "amplifier time constant", &mut axis.amplifier_time_constant_s, 1e-5, "s");
         number(ui, "origin", &mut axis.origin_um, 0.01, "µm");
     });
+    ui.add_space(6.0);
     ui.label(RichText::new("limits").strong());
     Grid::new("limits").num_columns(2).show(ui, |ui| {
         let l = &mut axis.limits;

@@ -116,7 +116,7 @@ impl Probe {
             }
             ProbeState::Done { folder, report, verdict } => {
                 ui.label(RichText::new(verdict).color(GOOD).strong());
-                ui.label(RichText::new(folder.display().to_string()).small());
+                ui.label(RichText::new(folder.display().to_string()));
                 if let Some(report) = report
                     && ui.button("Open the report").clicked()
                 {

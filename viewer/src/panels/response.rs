@@ -1,7 +1,7 @@
 //! Plots of the last measurement: Bode plot with coherence, step, noise spectrum, tuning before, predicted and measured.
 
 use eframe::egui::{Color32, Ui};
-use egui_plot::{HLine, Legend, Line, LineStyle, Plot, PlotBounds};
+use egui_plot::{HLine, Legend, Line, LineStyle, Plot};
 use telemetry::measure::Frf;
 use telemetry::measure::campaign::with_controller;
 
@@ -100,7 +100,7 @@ pub fn show(ui: &mut Ui, measured: Option<&Measured>) {
 fn bode(ui: &mut Ui, id: &str, unit: &str, curves: &[Curve<'_>], coherence: bool, height: f32) {
     let gap = ui.spacing().item_spacing.y;
     let (magnitude_share, phase_share) = if coherence { (0.42, 0.36) } else { (0.55, 0.45) };
-    let link = eframe::egui::Id::new(("bode", id));
+    let link = eframe::egui::Id::unique(("bode", id));
     let plot = |name: &str, label: String, share: f32, is_last: bool| {
         let plot = Plot::new((id.to_owned(), name.to_owned()))
             .height((height * share - gap).max(60.0))
@@ -135,7 +135,7 @@ fn bode(ui: &mut Ui, id: &str, unit: &str, curves: &[Curve<'_>], coherence: bool
     plot("magnitude", format!("magnitude ({unit})"), magnitude_share, false)
         .legend(Legend::default())
         .show(ui, |plot| {
-            plot.hline(HLine::new("0 dB", 0.0).color(Color32::DARK_GRAY).width(0.5));
+            plot.hline(HLine::new("", 0.0).color(Color32::DARK_GRAY).width(0.5));
             for curve in curves {
                 plot.line(line(curve, &|i| curve.frf.points[i].magnitude_db()));
             }
@@ -147,9 +147,10 @@ fn bode(ui: &mut Ui, id: &str, unit: &str, curves: &[Curve<'_>], coherence: bool
         }
     });
     if coherence {
-        plot("coherence", "coherence".into(), 1.0 - magnitude_share - phase_share, true).show(
-            ui,
-            |plot| {
+        plot("coherence", "coherence".into(), 1.0 - magnitude_share - phase_share, true)
+            .include_y(0.0)
+            .include_y(1.05)
+            .show(ui, |plot| {
                 for curve in curves {
                     let points: Vec<[f64; 2]> = curve
                         .frf
@@ -159,13 +160,7 @@ fn bode(ui: &mut Ui, id: &str, unit: &str, curves: &[Curve<'_>], coherence: bool
                         .collect();
                     plot.line(Line::new(curve.name.to_owned(), points).color(curve.color));
                 }
-                let bounds = plot.plot_bounds();
-                plot.set_plot_bounds(PlotBounds::from_min_max(
-                    [bounds.min()[0], 0.0],
-                    [bounds.max()[0], 1.05],
-                ));
-            },
-        );
+            });
     }
 }
 
