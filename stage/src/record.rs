@@ -47,8 +47,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let file = args.file.as_deref().unwrap_or_else(|| unreachable!("clap asks for it"));
     let device = args.board.open()?;
     let stop = on_interrupt()?;
-    let recorder = Recorder::start(&device, file, &args.experiment, &args.rig)?;
     device.stream()?;
+    let recorder = Recorder::start(&device, file, &args.experiment, &args.rig)?;
     let bar = seconds_bar(args.seconds.unwrap_or(0.0));
     let progress = loop {
         std::thread::sleep(Duration::from_millis(20));

@@ -94,6 +94,8 @@ struct Shared {
     statistics: Mutex<StreamStatistics>,
     ended: Mutex<Option<String>>,
     is_connected: AtomicBool,
+    /// Whether this session has started the stream.
+    has_streamed: AtomicBool,
 }
 
 /// A lock that a panicked thread held is still good here: all guarded values are valid after every single write.
@@ -143,6 +145,7 @@ impl Device {
             statistics: Mutex::default(),
             ended: Mutex::default(),
             is_connected: AtomicBool::new(true),
+            has_streamed: AtomicBool::new(false),
         });
         let (orders, inbox) = mpsc::channel();
         let pump = Pump {
@@ -189,14 +192,19 @@ impl Device {
         receiver
     }
 
-    /// Make the board stream everything that is drawn and recorded, unless it does already: a new start would cost a few ticks.
+    /// Make the board stream everything that is drawn and recorded, unless this session had it do so already: a new start would cost a
+    /// few ticks. What an earlier session left on its way is not taken for a loss; subscribe afterwards.
     pub fn stream(&self) -> Result<()> {
+        let fields = Fields::RECORDING.with(Fields::CYCLES);
+        let on = Command::StreamOn { fields, profile: Profile::Exact };
+        if !self.shared.has_streamed.swap(true, Ordering::AcqRel) {
+            return self.command(on).map(|_| ());
+        }
         let Reply::Status(status) = self.command(Command::Status)? else {
             return Err(Error::Invalid("the board did not answer with its status".into()));
         };
-        let fields = Fields::RECORDING.with(Fields::CYCLES);
         if status.stream != Some((fields, Profile::Exact)) {
-            self.command(Command::StreamOn { fields, profile: Profile::Exact })?;
+            self.command(on)?;
         }
         Ok(())
     }

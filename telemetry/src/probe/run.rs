@@ -79,17 +79,23 @@ pub fn run(
             folder.display()
         )));
     }
+    let is_new = !folder.exists();
     std::fs::create_dir_all(folder).map_err(file_error)?;
     let mut report = Report { folder: folder.to_owned(), files: Vec::new(), lost_ticks: 0 };
-    capture(device, plan, axes, Mode::OpenLoop, stop, progress, &mut |index, mut recording| {
-        recording.meta.rig = rig.to_owned();
-        report.lost_ticks += recording.lost().iter().map(|lost| lost.ticks).sum::<u64>();
-        let path = folder.join(format!("{index:02}-{}.parquet", recording.meta.experiment));
-        recording.write(&path)?;
-        report.files.push(path);
-        Ok(())
-    })?;
-    Ok(report)
+    let done =
+        capture(device, plan, axes, Mode::OpenLoop, stop, progress, &mut |index, mut recording| {
+            recording.meta.rig = rig.to_owned();
+            report.lost_ticks += recording.lost().iter().map(|lost| lost.ticks).sum::<u64>();
+            let path = folder.join(format!("{index:02}-{}.parquet", recording.meta.experiment));
+            recording.write(&path)?;
+            report.files.push(path);
+            Ok(())
+        });
+    if done.is_err() && is_new && report.files.is_empty() {
+        // Only when it is empty; what cannot be removed stays.
+        let _ = std::fs::remove_dir(folder);
+    }
+    done.map(|()| report)
 }
 
 /// Run a plan and hand out each recording as it is complete.

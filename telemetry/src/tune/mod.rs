@@ -180,6 +180,11 @@ pub struct LoopFigures {
     pub margins: Margins,
     /// Mean magnitude of the sensitivity up to 100 Hz: the part of a disturbance that is left.
     pub left_of_disturbance: f64,
+    /// Loop gain at the highest frequency measured.
+    pub gain_at_end: f64,
+    /// Whether the loop is stable as far as it was measured, and in the simple way: the phase stays above -180 degrees while the gain is
+    /// above a half, and the gain has fallen below a half before the data end.
+    pub is_stable: bool,
 }
 
 /// A proposal for one axis.
@@ -211,13 +216,25 @@ fn figures(plant: &Frf, feedback: &FeedbackSettings) -> LoopFigures {
         .map(|p| 1.0 / (1.0 + p.response).norm())
         .collect();
     let left = low.iter().sum::<f64>() / low.len().max(1) as f64;
-    LoopFigures { margins: margins(&loop_gain), left_of_disturbance: left }
+    let gain_at_end = loop_gain.points.last().map_or(f64::INFINITY, |p| p.response.norm());
+    let phase = loop_gain.phase_deg();
+    let leads = loop_gain
+        .points
+        .iter()
+        .zip(phase)
+        .all(|(p, phase)| p.response.norm() < 0.5 || phase > -180.0);
+    LoopFigures {
+        margins: margins(&loop_gain),
+        left_of_disturbance: left,
+        gain_at_end,
+        is_stable: leads && gain_at_end < 0.5,
+    }
 }
 
-/// Whether a closed loop with a stable plant is stable, judged by the margins: the gain is below 1 wherever the phase
-/// passes -180 degrees, and the loop keeps its distance.
+/// Whether a closed loop with a stable plant is stable and keeps its distance from instability.
 fn is_safe(figures: &LoopFigures) -> bool {
-    figures.margins.modulus_margin.is_some_and(|m| m >= MODULUS_MARGIN)
+    figures.is_stable
+        && figures.margins.modulus_margin.is_some_and(|m| m >= MODULUS_MARGIN)
         && figures.margins.phase_margin_deg.is_none_or(|m| m > 35.0)
         && figures.margins.gain_margin_db.is_none_or(|m| m > 6.0)
 }
@@ -362,6 +379,20 @@ mod tests {
         assert!((fit.gain_um_per_v - 0.133).abs() < 0.001, "{fit:?}");
         assert!((fit.time_constant_s - 4e-4).abs() < 2e-5, "{fit:?}");
         assert!((fit.delay_s - 1.5e-4).abs() < 1e-5, "{fit:?}");
+    }
+
+    #[test]
+    fn a_gain_that_does_not_fall_in_the_band_is_not_safe() {
+        // 1 kHz of data: whatever crosses 0 dB above it is unknown, and a delay makes it unstable.
+        let mut plant = lag(0.133, 1e-5, 1.5e-4);
+        plant.points.retain(|p| p.frequency_hz < 1000.0);
+        let feedback =
+            FeedbackSettings { proportional_v_per_um: 20.0, ..FeedbackSettings::default() };
+        let found = figures(&plant, &feedback);
+        assert!(found.margins.crossover_hz.is_none() && !is_safe(&found), "{found:?}");
+        // Here the data show it: past -180 degrees at a gain above 1, whatever the margins read.
+        let found = figures(&lag(0.133, 4e-4, 4e-4), &feedback);
+        assert!(!found.is_stable && !is_safe(&found), "{found:?}");
     }
 
     #[test]

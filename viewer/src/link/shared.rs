@@ -136,8 +136,8 @@ impl Shared {
     fn stay(&self, target: &Target) -> std::result::Result<String, String> {
         let words = |error: Error| error.to_string();
         let device = Arc::new(Device::open(target).map_err(words)?);
-        let samples = device.subscribe();
         device.stream().map_err(words)?;
+        let samples = device.subscribe();
         self.read_settings(&device).map_err(words)?;
         {
             let rate = device.info().sample_rate_hz;
