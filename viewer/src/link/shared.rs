@@ -122,10 +122,14 @@ impl Shared {
             };
             *lock(&self.device) = None;
             let waiting = LinkState::Waiting { reason: reason.clone() };
-            let mut state = lock(&self.state);
-            if *state != waiting {
+            // The lock must not be held over the pause: the window waits for it in every picture.
+            let is_new = {
+                let mut state = lock(&self.state);
+                let is_new = *state != waiting;
                 *state = waiting;
-                drop(state);
+                is_new
+            };
+            if is_new {
                 self.note(reason, true);
             }
             std::thread::sleep(RETRY);
