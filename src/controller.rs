@@ -321,8 +321,10 @@ impl Controller {
 
         let mut moving = false;
         for (axis, settings) in self.axes.iter_mut().zip(&config.axes) {
-            axis.lead(settings, table, closing);
-            moving |= axis.trajectory.is_moving();
+            if rebase || !axis.trajectory.is_asleep() {
+                axis.lead(settings, table, closing);
+                moving |= axis.trajectory.is_moving();
+            }
         }
         self.advance_state(moving);
 
@@ -426,13 +428,17 @@ impl Axis {
     /// Drive of one axis. `weight`: of what is left of the last bump, Q0.31.
     #[inline(always)]
     fn control(&mut self, config: &AxisConfig, creep_slot: usize, rebase: bool, weight: u32) {
-        let forward = config.feedforward.step(
-            &mut self.feedforward,
-            self.motion,
-            self.others,
-            creep_slot,
-            rebase,
-        );
+        let forward = if self.trajectory.is_asleep() && !rebase && config.feedforward.can_rest() {
+            config.feedforward.rest(&self.feedforward)
+        } else {
+            config.feedforward.step(
+                &mut self.feedforward,
+                self.motion,
+                self.others,
+                creep_slot,
+                rebase,
+            )
+        };
         let (back, integral_at_limit) = config.feedback.step(
             &mut self.feedback,
             self.trajectory.now(),

@@ -113,6 +113,18 @@ impl Feedforward {
         if self.lead.is_zero() { stack } else { stack + (self.lead * change).narrow() }
     }
 
+    /// Drive for a motion that has not changed for some ticks, and neither has anything else: as [`Feedforward::step`] would return.
+    #[inline(always)]
+    pub(crate) fn rest(&self, state: &FeedforwardState) -> Volt {
+        state.stack
+    }
+
+    /// Whether an axis at rest has a constant drive: nothing creeps, and no other axis pushes.
+    #[inline(always)]
+    pub(crate) fn can_rest(&self) -> bool {
+        self.creep.is_empty() && !self.is_crossed
+    }
+
     /// Displacement from the relaxed position, before creep compensation.
     #[inline(always)]
     pub(crate) fn displacement(&self, motion: &Motion) -> Um {

@@ -51,7 +51,14 @@ pub struct Trajectory {
     /// x(n+3), x(n+2), x(n+1), x(n), x(n-1).
     ahead: [Um; 5],
     clipped: bool,
+    /// Ticks for which the newest point has not changed, up to [`STILL`].
+    still: u32,
+    /// At rest, and every point and difference of it with it: nothing changes until something is started.
+    asleep: bool,
 }
+
+/// Points ahead, and one more: then the difference of two motions is nothing too.
+const STILL: u32 = 5;
 
 impl Trajectory {
     /// At rest.
@@ -68,6 +75,8 @@ impl Trajectory {
             blend: u32::MAX,
             ahead: [position; 5],
             clipped: false,
+            still: 0,
+            asleep: false,
         }
     }
 
@@ -78,6 +87,7 @@ impl Trajectory {
         self.is_staged = false;
         self.start = position;
         self.coast = 0;
+        (self.still, self.asleep) = (0, false);
         for x in &mut self.ahead {
             *x = position;
         }
@@ -120,6 +130,7 @@ impl Trajectory {
     /// Start from the present motion.
     #[inline(always)]
     fn join(&mut self) {
+        (self.asleep, self.still) = (false, 0);
         let [newest, previous, ..] = self.ahead;
         self.start = newest;
         self.coast = (newest - previous).to_bits();
@@ -127,6 +138,12 @@ impl Trajectory {
         self.age = 0;
         self.phase = self.generator.phase;
         self.step = (self.generator.step as u64) << 32;
+    }
+
+    /// Whether [`Trajectory::step`] would change nothing, unless the limits of the travel have changed.
+    #[inline(always)]
+    pub const fn is_asleep(&self) -> bool {
+        self.asleep
     }
 
     /// One tick: returns the motion at n + 2.
@@ -160,6 +177,13 @@ impl Trajectory {
         self.clipped = next != wanted;
         let [x3, x2, x1, x0, _] = self.ahead;
         self.ahead = [next, x3, x2, x1, x0];
+        if next != x3 {
+            (self.still, self.asleep) = (0, false);
+        } else if self.still < STILL {
+            self.still += 1;
+        } else {
+            self.asleep = !self.is_moving();
+        }
         motion(next, x3, x2)
     }
 

@@ -354,3 +354,39 @@ fn a_step_of_the_setpoint_does_not_kick_the_derivative() {
     // half: 7 V.
     assert!(largest < 0.5, "{largest} V in a tick");
 }
+
+/// An axis whose reference rests skips most of its tick; nobody may see that. A creep model of nothing keeps it awake.
+#[test]
+fn resting_changes_nothing_but_the_time_it_takes() {
+    let asleep = Settings::default();
+    let mut awake = asleep.clone();
+    for axis in &mut awake.axes {
+        let _ = axis.feedforward.creep.push(flexstage::settings::CreepSettings::default());
+    }
+    let mut benches = [Bench::new(&asleep, 7.4), Bench::new(&awake, 7.4)];
+    for bench in &mut benches {
+        bench.arm();
+    }
+    let story = [
+        GeneratorSettings::Hold { position_um: 5.0, blend_s: 0.01 },
+        GeneratorSettings::Sine(Wave { duration_s: 0.03, ..Wave::between(1.0, 9.0, 40.0) }),
+        GeneratorSettings::Ramp { target_um: 25.0, duration_s: 0.02 },
+        GeneratorSettings::Stop,
+        GeneratorSettings::Hold { position_um: 2.0, blend_s: 0.001 },
+    ];
+    for (n, settings) in story.iter().enumerate() {
+        let generator = Generator::build(settings).unwrap();
+        for bench in &mut benches {
+            let axis = (n % 2) as u8;
+            bench.controller.command(&bench.config, Command::Stage { axis, generator }).unwrap();
+            let start = Command::Start { axes: 1 << axis };
+            bench.controller.command(&bench.config, start).unwrap();
+            bench.disturbance_um = 0.01 * n as f64;
+        }
+        for tick in 0..1_500 {
+            let [a, b] = benches.each_mut().map(|bench| bench.tick());
+            assert_eq!(a.axes, b.axes, "story {n}, tick {tick}");
+            assert_eq!(a.flags, b.flags, "story {n}, tick {tick}");
+        }
+    }
+}

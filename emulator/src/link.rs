@@ -53,6 +53,8 @@ impl Link {
     /// A frame for a command, and the sequence number of its reply.
     pub fn command(&mut self, command: &Command) -> (u16, Vec<u8>) {
         self.sequence = self.sequence.wrapping_add(1);
+        // An answer to something else that had this number is not the one to come.
+        self.replies.remove(&self.sequence);
         let mut buffer = [0; MAX_FRAME];
         // MAX_FRAME holds the longest command.
         let bytes =

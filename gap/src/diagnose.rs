@@ -215,8 +215,7 @@ fn stands_elsewhere(search: &Search, model: Model) -> Result<Model, Error> {
             rigs.push(model.without(search.nominal, t, |_| true)?);
         }
         let jobs: Vec<(&Rig, Wanted)> = rigs.iter().map(|r| (r, Wanted::ALL)).collect();
-        let costs: Vec<f64> =
-            search.scene.residuals(&jobs, held)?.iter().map(|stack| cost(stack)).collect();
+        let costs: Vec<f64> = search.scene.residuals(&jobs, held)?.iter().map(cost).collect();
         let worst = (0..model.terms.len()).min_by(|&a, &b| costs[a + 1].total_cmp(&costs[b + 1]));
         let Some(t) = worst.filter(|&t| costs[t + 1] < costs[0] - WORSE) else { break };
         let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(&model)

@@ -16,6 +16,10 @@ use crate::scene::{Channel, Scene};
 use crate::split::hold_out_last_third;
 use crate::{Error, Options};
 
+/// Fits with weights at most.
+const ROUNDS: usize = 6;
+/// Change of what is left in any band (its power) below which weights are not drawn again.
+const SETTLED: f64 = 0.05;
 /// Elements that a rig without any is given.
 const ELEMENTS: usize = 8;
 
@@ -31,6 +35,9 @@ pub struct Identified {
     pub held_out_before_nm: f64,
     /// After, nm.
     pub held_out_after_nm: f64,
+    /// What gains, offsets and lags alone leave of the held-out third, nm; `None` where the rig has a hysteresis model of
+    /// its own, so that nothing was added to it.
+    pub held_out_linear_nm: Option<f64>,
     /// Noise floor, nm.
     pub floor_nm: f64,
     /// What changed, one line a value.
@@ -50,6 +57,15 @@ pub fn identify(rig: &Rig, session: &Session, options: &Options) -> Result<Ident
     let train = |c: &Channel| !c.held_out;
     bar.set_message("fitting two thirds of every recording");
     let honest = settle(&scene, &prepared, knobs.clone(), start, &train)?;
+    let held_out = |c: &Channel| c.held_out;
+    let linear = if prepared == *rig {
+        None
+    } else {
+        bar.set_message("fitting a linear model beside it");
+        let (knobs, start) = self::knobs(&scene, rig);
+        let line = settle(&scene, rig, knobs, start, &train)?;
+        Some(scene.raw(&line.rig, everything)?)
+    };
     bar.set_message("fitting everything");
     let whole = settle(&scene, &prepared, knobs, honest.values.clone(), &everything)?;
     let before = scene.raw(rig, everything)?;
@@ -57,7 +73,9 @@ pub fn identify(rig: &Rig, session: &Session, options: &Options) -> Result<Ident
     let after = scene.raw(&whole.rig, everything)?;
     let axes = rig.axes.len();
     let all = Energies::new(&scene, &before, &after, &everything).gap(axes);
-    let held = Energies::new(&scene, &before, &after_honest, &|c: &Channel| c.held_out).gap(axes);
+    let held = Energies::new(&scene, &before, &after_honest, &held_out).gap(axes);
+    let held_out_linear_nm =
+        linear.map(|linear| Energies::new(&scene, &before, &linear, &held_out).gap(axes).after_nm);
     bar.finish_and_clear();
     Ok(Identified {
         lines: lines(&whole),
@@ -66,11 +84,14 @@ pub fn identify(rig: &Rig, session: &Session, options: &Options) -> Result<Ident
         after_nm: all.after_nm,
         held_out_before_nm: held.before_nm,
         held_out_after_nm: held.after_nm,
+        held_out_linear_nm,
         floor_nm: all.floor_nm,
     })
 }
 
-/// Weights by the tolerance after a first fit: a coarse model must not spend everything on its loudest recording.
+/// Fits again and again, each weighed by what the one before could not follow: a coarse model must not spend everything on
+/// its loudest recording, nor on a resonance that it does not have, and what it cannot follow shows only once it follows
+/// the rest.
 fn settle(
     scene: &Scene,
     rig: &Rig,
@@ -79,16 +100,30 @@ fn settle(
     include: &(dyn Fn(&Channel) -> bool + Sync),
 ) -> Result<Fit, Error> {
     let effort = Effort { iterations: 12, tolerance: 1.0e-4, ..Effort::default() };
-    let first = fit(scene, rig, knobs.clone(), start, effort, None, include)?;
+    let mut found = fit(scene, rig, knobs.clone(), start, effort, None, include)?;
     let mut weighed = scene.clone();
-    for (c, channel) in weighed.channels.iter_mut().enumerate() {
-        if let Some(row) = &first.stack[c] {
-            let power = channel.band_power(row);
-            // What this model cannot follow counts as noise, so that the rest is fitted as well as it can be.
-            channel.weigh(&power, 1.0);
+    let mut before: Option<Vec<f64>> = None;
+    for _ in 0..ROUNDS {
+        let mut powers = Vec::new();
+        for (c, channel) in weighed.channels.iter_mut().enumerate() {
+            if let Some(row) = &found.stack[c] {
+                let power = channel.band_power(row);
+                // What this model cannot follow counts as noise, so that the rest is fitted as well as it can be.
+                channel.weigh(&power, 1.0);
+                powers.extend(power);
+            }
         }
+        let settled = before.is_some_and(|before| {
+            before.iter().zip(&powers).all(|(a, b)| (b / a - 1.0).abs() < SETTLED)
+        });
+        if settled {
+            break;
+        }
+        before = Some(powers);
+        let effort = Effort { iterations: 6, ..effort };
+        found = fit(&weighed, rig, knobs.clone(), found.values, effort, None, include)?;
     }
-    fit(&weighed, rig, knobs, first.values, Effort { iterations: 6, ..effort }, None, include)
+    Ok(found)
 }
 
 /// Charge per metre of travel: q = T x + C v with v = K x / T.

@@ -299,3 +299,22 @@ fn planar_recording_of_the_independent_simulator() {
     let outcome = diagnose(&rig, &session).unwrap();
     check_second_mass(&outcome);
 }
+
+/// Three springs on a chain of two masses: one more mass is named, and nothing else is renamed into it.
+#[test]
+fn a_third_mass_is_named_on_a_chain_of_two() {
+    let truth = |t: f64| {
+        1430.0 * (0.55 * f64::exp(-0.5 * t) + 0.25 * f64::exp(-4.0 * t) + 0.2 * f64::exp(-30.0 * t))
+    };
+    let given = presets::named("belfiore-planar-two-mass").unwrap();
+    let outcome = answer(&given, vec![recorded("a", 1430.0, 8.0, 4.0, 11, truth)]);
+    let diagnosis = &outcome.diagnosis;
+    check_format(diagnosis);
+    assert_eq!(diagnosis.verdict, Verdict::Explained);
+    assert_eq!(diagnosis.causes.len(), 1, "{:?}", diagnosis.causes);
+    assert_eq!(diagnosis.causes[0].effect, "third-mass");
+    assert!(diagnosis.causes[0].indistinguishable_from.iter().all(|e| e == "viscoelasticity"));
+    assert_eq!(outcome.rig.masses.len(), 3);
+    let gap = &diagnosis.gap;
+    assert!(gap.after_nm < 1.05 * gap.floor_nm && gap.before_nm > 3.0 * gap.after_nm);
+}

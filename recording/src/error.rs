@@ -8,14 +8,15 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The operating system refused.
-    #[error("{}: cannot {action}: {source}", path.display())]
+    // The system's error is in the line itself, not behind it as a source: it would be printed twice.
+    #[error("{}: cannot {action}: {}", path.display(), in_words(cause))]
     Io {
         /// File or folder.
         path: PathBuf,
         /// What was tried, to follow "cannot".
         action: &'static str,
         /// What the system said.
-        source: io::Error,
+        cause: io::Error,
     },
     /// The file is there, but what it holds cannot be used.
     #[error("{}: {what}", path.display())]
@@ -39,6 +40,19 @@ impl Error {
 
     pub(crate) fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
         let path = path.to_path_buf();
-        move |source| Self::Io { path, action, source }
+        move |cause| Self::Io { path, action, cause }
     }
+}
+
+/// What the system says, for people; its own words where it is none of the usual ones.
+fn in_words(error: &io::Error) -> String {
+    let words = match error.kind() {
+        io::ErrorKind::NotFound => "there is no such file or folder",
+        io::ErrorKind::IsADirectory => "this is a folder, expected a file",
+        io::ErrorKind::NotADirectory => "this is a file, expected a folder of recordings",
+        io::ErrorKind::PermissionDenied => "not allowed",
+        io::ErrorKind::StorageFull => "the disk is full",
+        _ => return error.to_string(),
+    };
+    words.to_owned()
 }

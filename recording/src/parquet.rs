@@ -359,7 +359,7 @@ pub(crate) fn cannot_write(path: &Path, error: ParquetError) -> Error {
     match error {
         // The system's own words ("no space left on device") say more than the library's wrapping.
         ParquetError::External(source) => match source.downcast::<std::io::Error>() {
-            Ok(source) => Error::Io { path: path.into(), action: "write", source: *source },
+            Ok(cause) => Error::Io { path: path.into(), action: "write", cause: *cause },
             Err(source) => Error::invalid(path, format!("cannot write: {source}")),
         },
         error => Error::invalid(path, format!("cannot write: {error}")),

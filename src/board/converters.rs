@@ -202,30 +202,49 @@ pub struct Codes {
     pub monitor: [u16; AXES],
 }
 
+/// End of the injected sequence, ADC_ISR bit 6 (RM0440 section 21.7.1).
+const JEOS: u32 = 1 << 6;
+
 /// Takes over and acknowledges the results of all converters that have one. Bit i of the result: converter i + 1 has none, and
 /// its codes are left as they were.
 #[inline(always)]
 pub fn take(codes: &mut Codes) -> u32 {
+    let ended = |adc: pac::adc::Adc| adc.isr().read().0 & JEOS;
+    let [one, two, three, four, five] = ALL.map(ended);
+    if one & two & three & four & five != 0 {
+        // As a rule.
+        for adc in ALL {
+            acknowledge(adc);
+        }
+        codes.gauge = [code(pac::ADC1, 0), code(pac::ADC2, 0), code(pac::ADC3, 0)];
+        codes.monitor = [code(pac::ADC4, 0), code(pac::ADC4, 1), code(pac::ADC5, 0)];
+        return 0;
+    }
     let [gauge_1, gauge_2, gauge_3] = &mut codes.gauge;
     let [monitor_1, monitor_2, monitor_3] = &mut codes.monitor;
     let mut missing = 0;
-    missing |= take_one(pac::ADC1, gauge_1, None);
-    missing |= take_one(pac::ADC2, gauge_2, None) << 1;
-    missing |= take_one(pac::ADC3, gauge_3, None) << 2;
-    missing |= take_one(pac::ADC4, monitor_1, Some(monitor_2)) << 3;
-    missing |= take_one(pac::ADC5, monitor_3, None) << 4;
+    missing |= take_one(pac::ADC1, one, gauge_1, None);
+    missing |= take_one(pac::ADC2, two, gauge_2, None) << 1;
+    missing |= take_one(pac::ADC3, three, gauge_3, None) << 2;
+    missing |= take_one(pac::ADC4, four, monitor_1, Some(monitor_2)) << 3;
+    missing |= take_one(pac::ADC5, five, monitor_3, None) << 4;
     missing
 }
 
 #[inline(always)]
-fn take_one(adc: pac::adc::Adc, first: &mut u16, second: Option<&mut u16>) -> u32 {
-    if !adc.isr().read().jeos() {
+fn code(adc: pac::adc::Adc, rank: usize) -> u16 {
+    adc.jdr(rank).read().jdata()
+}
+
+#[inline(always)]
+fn take_one(adc: pac::adc::Adc, ended: u32, first: &mut u16, second: Option<&mut u16>) -> u32 {
+    if ended == 0 {
         return 1;
     }
     acknowledge(adc);
-    *first = adc.jdr(0).read().jdata();
+    *first = code(adc, 0);
     if let Some(second) = second {
-        *second = adc.jdr(1).read().jdata();
+        *second = code(adc, 1);
     }
     0
 }

@@ -60,7 +60,7 @@ pub struct Board {
 
 /// The next tick: what changes now acts there.
 fn next_tick() -> u32 {
-    tick::TICKS.load(Ordering::Relaxed)
+    tick::SHOWN.ticks.load(Ordering::Relaxed)
 }
 
 impl Device for Board {
@@ -71,7 +71,7 @@ impl Device for Board {
     fn status(&self) -> Status {
         Status {
             tick: next_tick().wrapping_sub(1),
-            flags: tick::FLAGS.load(Ordering::Relaxed),
+            flags: tick::SHOWN.flags.load(Ordering::Relaxed),
             digest: self.digest,
             is_stored: self.is_stored,
             stream: stream(),
@@ -83,14 +83,14 @@ impl Device for Board {
     fn counters(&self) -> Counters {
         let load = |counter: &AtomicU32| counter.load(Ordering::Relaxed);
         let mut cycles_histogram = [0; HISTOGRAM_BINS];
-        for (to, from) in cycles_histogram.iter_mut().zip(&tick::CYCLES_HISTOGRAM) {
+        for (to, from) in cycles_histogram.iter_mut().zip(&tick::SHOWN.cycles_histogram) {
             *to = load(from);
         }
         Counters {
-            ticks: load(&tick::TICKS),
-            overruns: load(&tick::OVERRUNS),
-            cycles_last: load(&tick::CYCLES_LAST),
-            cycles_max: load(&tick::CYCLES_MAX),
+            ticks: load(&tick::SHOWN.ticks),
+            overruns: load(&tick::SHOWN.overruns),
+            cycles_last: load(&tick::SHOWN.cycles_last),
+            cycles_max: load(&tick::SHOWN.cycles_max),
             cycles_histogram,
             dropped: load(&usb::DROPPED),
             frames: load(&usb::FRAMES),

@@ -28,11 +28,12 @@ pub async fn watch(watchdog: Peri<'static, IWDG>) {
     let mut before = (0, 0);
     loop {
         ticker.next().await;
-        let now = (tick::TICKS.load(Ordering::Relaxed), usb::HEARTBEAT.load(Ordering::Relaxed));
+        let now =
+            (tick::SHOWN.ticks.load(Ordering::Relaxed), usb::HEARTBEAT.load(Ordering::Relaxed));
         if now.0 != before.0 {
             if now.1 != before.1 {
-                let beat = tick::HEARTBEAT.load(Ordering::Relaxed);
-                tick::HEARTBEAT.store(beat.wrapping_add(1), Ordering::Relaxed);
+                let beat = tick::SHOWN.heartbeat.load(Ordering::Relaxed);
+                tick::SHOWN.heartbeat.store(beat.wrapping_add(1), Ordering::Relaxed);
                 watchdog.pet();
             }
         }
@@ -61,7 +62,7 @@ pub async fn lamps(state: Peri<'static, PC6>, fault: Peri<'static, PC7>) {
         ticker.next().await;
         phase = phase.wrapping_add(1);
         let slow = phase % 8 < 4;
-        let now = Flags(tick::FLAGS.load(Ordering::Relaxed)).state();
+        let now = Flags(tick::SHOWN.flags.load(Ordering::Relaxed)).state();
         state.set_level(match now {
             State::Run | State::Hold => Level::High,
             State::Arming => Level::from(slow),

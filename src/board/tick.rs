@@ -87,28 +87,43 @@ static STATE: Shared<State> = Shared::new();
 static CONFIGS: [Shared<Config>; 2] = [Shared::new(), Shared::new()];
 #[unsafe(link_section = ".ccm_bss")]
 static TABLE: Shared<Table> = Shared::new();
-/// The one of them that is in use. A pointer, not an index: with an index the compiler knows both addresses, and chooses between them at
-/// each access to a field instead of once.
-static CONFIG: AtomicPtr<Config> = AtomicPtr::new(core::ptr::null_mut());
-static HAS_TABLE: AtomicBool = AtomicBool::new(false);
+/// What the tick tells the tasks, and the one thing that they tell it. Together, so that the tick needs one address for all of it.
+pub struct Shown {
+    /// Ticks since start.
+    pub ticks: AtomicU32,
+    /// Status word of the last tick.
+    pub flags: AtomicU32,
+    /// Ticks missed, or not finished before the next trigger.
+    pub overruns: AtomicU32,
+    /// Records that found the queue full.
+    pub lost_records: AtomicU32,
+    /// Cycles of the last tick.
+    pub cycles_last: AtomicU32,
+    /// Most cycles of any tick.
+    pub cycles_max: AtomicU32,
+    /// Ticks by cycles.
+    pub cycles_histogram: [AtomicU32; HISTOGRAM_BINS],
+    /// Incremented by the tasks while they run.
+    pub heartbeat: AtomicU32,
+    config: AtomicPtr<Config>,
+    has_table: AtomicBool,
+}
 
-/// Ticks since start.
-pub static TICKS: AtomicU32 = AtomicU32::new(0);
-/// Status word of the last tick.
-pub static FLAGS: AtomicU32 = AtomicU32::new(0);
-/// Ticks missed, or not finished before the next trigger.
-pub static OVERRUNS: AtomicU32 = AtomicU32::new(0);
-/// Records that found the queue full.
-pub static LOST_RECORDS: AtomicU32 = AtomicU32::new(0);
-/// Cycles of the last tick.
-pub static CYCLES_LAST: AtomicU32 = AtomicU32::new(0);
-/// Most cycles of any tick.
-pub static CYCLES_MAX: AtomicU32 = AtomicU32::new(0);
-/// Ticks by cycles.
-pub static CYCLES_HISTOGRAM: [AtomicU32; HISTOGRAM_BINS] =
-    [const { AtomicU32::new(0) }; HISTOGRAM_BINS];
-/// Incremented by the tasks while they run.
-pub static HEARTBEAT: AtomicU32 = AtomicU32::new(0);
+/// See [`Shown`].
+pub static SHOWN: Shown = Shown {
+    ticks: AtomicU32::new(0),
+    flags: AtomicU32::new(0),
+    overruns: AtomicU32::new(0),
+    lost_records: AtomicU32::new(0),
+    cycles_last: AtomicU32::new(0),
+    cycles_max: AtomicU32::new(0),
+    cycles_histogram: [const { AtomicU32::new(0) }; HISTOGRAM_BINS],
+    heartbeat: AtomicU32::new(0),
+    // The configuration in use. A pointer, not an index: with an index the compiler knows both addresses, and chooses between
+    // them at each access to a field instead of once.
+    config: AtomicPtr::new(core::ptr::null_mut()),
+    has_table: AtomicBool::new(false),
+};
 
 /// Sets up what the tick needs. Once, before its interrupt is enabled.
 pub fn init(config: Config, faults: Faults) -> Ends {
@@ -137,7 +152,7 @@ pub fn init(config: Config, faults: Faults) -> Ends {
         STATE.get().write(state);
         for cell in &CONFIGS {
             cell.get().write(config.clone());
-            CONFIG.store(cell.get(), Ordering::Release);
+            SHOWN.config.store(cell.get(), Ordering::Release);
         }
         TABLE.get().write_bytes(0, 1);
     }
@@ -147,28 +162,28 @@ pub fn init(config: Config, faults: Faults) -> Ends {
 /// Puts a configuration into effect at the next tick. Called by one task only.
 pub fn exchange_config(config: &Config) {
     let [first, second] = &CONFIGS;
-    let in_use = CONFIG.load(Ordering::Relaxed);
+    let in_use = SHOWN.config.load(Ordering::Relaxed);
     let next = if in_use == first.get() { second.get() } else { first.get() };
     // SAFETY: the tick reads only the other one until the pointer changes, and one task calls this.
     unsafe { (*next).clone_from(config) };
-    CONFIG.store(next, Ordering::Release);
+    SHOWN.config.store(next, Ordering::Release);
 }
 
 /// Changes the table, which is out of use until [`use_table`]. Called by one task only.
 pub fn with_table<R>(change: impl FnOnce(&mut Table) -> R) -> R {
-    HAS_TABLE.store(false, Ordering::SeqCst);
+    SHOWN.has_table.store(false, Ordering::SeqCst);
     // SAFETY: the tick does not look at the table while the flag is down, and one task calls this.
     change(unsafe { &mut *TABLE.get() })
 }
 
 /// Puts the table into use at the next tick. Called by one task only.
 pub fn use_table() {
-    HAS_TABLE.store(true, Ordering::Release);
+    SHOWN.has_table.store(true, Ordering::Release);
 }
 
 /// Whether the drives are at their safe voltage.
 pub fn is_parked() -> bool {
-    Flags(FLAGS.load(Ordering::Relaxed)).is_parked()
+    Flags(SHOWN.flags.load(Ordering::Relaxed)).is_parked()
 }
 
 /// The tick.
@@ -180,10 +195,10 @@ unsafe fn ADC3() {
     let state = unsafe { &mut *STATE.get() };
     // SAFETY: `init` has stored a pointer; tasks write only the configuration that is not in use, and none can run while this
     // handler does.
-    let config = unsafe { &*CONFIG.load(Ordering::Acquire) };
+    let config = unsafe { &*SHOWN.config.load(Ordering::Acquire) };
     // SAFETY: no task changes the table while the flag is up.
     let table =
-        if HAS_TABLE.load(Ordering::Acquire) { Some(unsafe { &*TABLE.get() }) } else { None };
+        if SHOWN.has_table.load(Ordering::Acquire) { Some(unsafe { &*TABLE.get() }) } else { None };
     timebase::clear_trigger();
     let missing = converters::take(&mut state.codes);
 
@@ -195,7 +210,7 @@ unsafe fn ADC3() {
     unsafe { core::hint::assert_unchecked(state.orders.capacity() == ORDERS - 1) };
     match state.orders.dequeue() {
         Some(Order::Command(command)) => {
-            let tick = TICKS.load(Ordering::Relaxed);
+            let tick = SHOWN.ticks.load(Ordering::Relaxed);
             let answer = state.controller.command(config, command).map(|()| tick);
             // SAFETY: as above.
             unsafe { core::hint::assert_unchecked(state.answers.capacity() == ORDERS - 1) };
@@ -219,7 +234,7 @@ unsafe fn ADC3() {
     state.controller.tick_into(config, table, &sample, record);
     let [a, b, c] = &record.axes;
     outputs::write([a.dac, b.dac, c.dac]);
-    FLAGS.store(record.flags.0, Ordering::Relaxed);
+    SHOWN.flags.store(record.flags.0, Ordering::Relaxed);
     // A trigger since the entry means that the outputs were written too late for it.
     state.was_late = timebase::has_triggered();
 
@@ -230,9 +245,9 @@ unsafe fn ADC3() {
         (*place).cycles = cycles.min(0xffff) as u16;
     }
     if !state.records.publish() {
-        bump(&LOST_RECORDS, 1);
+        bump(&SHOWN.lost_records, 1);
     }
-    bump(&TICKS, 1);
+    bump(&SHOWN.ticks, 1);
     account(timebase::cycles().wrapping_sub(entered), state.was_late);
 }
 
@@ -252,7 +267,7 @@ impl State {
     #[inline(always)]
     fn look_around(&mut self, is_missing: bool) -> Faults {
         self.missing_ticks = if is_missing { self.missing_ticks.saturating_add(1) } else { 0 };
-        let beat = HEARTBEAT.load(Ordering::Relaxed);
+        let beat = SHOWN.heartbeat.load(Ordering::Relaxed);
         self.silent_ticks = if beat == self.beat { self.silent_ticks.saturating_add(1) } else { 0 };
         self.beat = beat;
         let is_starved =
@@ -267,9 +282,10 @@ impl State {
     fn count_missed(&mut self, entered: u32) -> bool {
         let since = entered.wrapping_sub(self.entered);
         self.entered = entered;
-        let is_missed = since > TICK_CYCLES + TICK_CYCLES / 2 && TICKS.load(Ordering::Relaxed) != 0;
+        let is_missed =
+            since > TICK_CYCLES + TICK_CYCLES / 2 && SHOWN.ticks.load(Ordering::Relaxed) != 0;
         if is_missed {
-            bump(&OVERRUNS, (since - TICK_CYCLES / 2) / TICK_CYCLES);
+            bump(&SHOWN.overruns, (since - TICK_CYCLES / 2) / TICK_CYCLES);
         }
         is_missed
     }
@@ -283,15 +299,15 @@ fn bump(counter: &AtomicU32, by: u32) {
 
 #[inline(always)]
 fn account(cycles: u32, was_late: bool) {
-    CYCLES_LAST.store(cycles, Ordering::Relaxed);
-    if cycles > CYCLES_MAX.load(Ordering::Relaxed) {
-        CYCLES_MAX.store(cycles, Ordering::Relaxed);
+    SHOWN.cycles_last.store(cycles, Ordering::Relaxed);
+    if cycles > SHOWN.cycles_max.load(Ordering::Relaxed) {
+        SHOWN.cycles_max.store(cycles, Ordering::Relaxed);
     }
     let bin = (cycles / HISTOGRAM_BIN_CYCLES).min(HISTOGRAM_BINS as u32 - 1) as usize;
-    if let Some(counter) = CYCLES_HISTOGRAM.get(bin) {
+    if let Some(counter) = SHOWN.cycles_histogram.get(bin) {
         bump(counter, 1);
     }
     if was_late {
-        bump(&OVERRUNS, 1);
+        bump(&SHOWN.overruns, 1);
     }
 }

@@ -236,13 +236,13 @@ struct Packer {
 impl Packer {
     /// Counts losses from here.
     fn start_stream(&mut self) {
-        self.lost_before = tick::LOST_RECORDS.load(Ordering::Relaxed);
+        self.lost_before = tick::SHOWN.lost_records.load(Ordering::Relaxed);
         DROPPED.store(0, Ordering::Relaxed);
     }
 
     /// Samples dropped since the stream was started: by the pump for want of a frame, and by the tick for want of a pump.
     fn dropped(&mut self) -> u32 {
-        let lost = tick::LOST_RECORDS.load(Ordering::Relaxed);
+        let lost = tick::SHOWN.lost_records.load(Ordering::Relaxed);
         let dropped =
             DROPPED.load(Ordering::Relaxed).wrapping_add(lost.wrapping_sub(self.lost_before));
         self.lost_before = lost;

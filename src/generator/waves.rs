@@ -44,14 +44,20 @@ pub(super) const fn staircase_q30(phase: u32, steps: i32, steepness: i32) -> i32
     clip_q30(((fraction as i64) << 15) - ONE_Q30 as i64)
 }
 
-/// Phase of tone `k`: a hash of seed and number, so that no table is needed.
+/// Phase of the first tone: a hash of the seed.
 #[inline(always)]
-const fn tone_phase(seed: u32, k: u32) -> u32 {
+const fn first_phase(seed: u32) -> u32 {
     // Finaliser of MurmurHash3 (public domain, A. Appleby).
-    let mut h = seed.wrapping_add(k.wrapping_mul(0x9e37_79b9));
+    let mut h = seed;
     h = (h ^ (h >> 16)).wrapping_mul(0x85eb_ca6b);
     h = (h ^ (h >> 13)).wrapping_mul(0xc2b2_ae35);
     h ^ (h >> 16)
+}
+
+/// Phase of the next tone: one multiplication, no table (linear congruential generator; D. Knuth and H. Lewis).
+#[inline(always)]
+const fn next_phase(phase: u32) -> u32 {
+    phase.wrapping_mul(1_664_525).wrapping_add(1_013_904_223)
 }
 
 /// Sum of the tones over 16, Q1.30.
@@ -60,9 +66,11 @@ pub(super) fn multisine_sum(phase: u32, first: u16, stride: u16, tones: u8, seed
     let mut sum = 0i32;
     let mut tone = phase.wrapping_mul(first as u32);
     let distance = phase.wrapping_mul(stride as u32);
-    for k in 0..u32::from(if tones > MAX_TONES { MAX_TONES } else { tones }) {
-        sum = sum.wrapping_add(sin_q30(tone.wrapping_add(tone_phase(seed, k))) >> 4);
+    let mut offset = first_phase(seed);
+    for _ in 0..if tones > MAX_TONES { MAX_TONES } else { tones } {
+        sum = sum.wrapping_add(sin_q30(tone.wrapping_add(offset)) >> 4);
         tone = tone.wrapping_add(distance);
+        offset = next_phase(offset);
     }
     sum
 }

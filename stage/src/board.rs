@@ -14,22 +14,22 @@ use telemetry::{Device, Target};
 #[derive(clap::Args, Clone, Debug)]
 pub struct BoardArgs {
     /// Serial number of the board on USB (see `flexstage devices`).
-    #[arg(long)]
+    #[arg(long, global = true)]
     pub serial: Option<String>,
     /// Address of an emulated board: HOST:PORT or unix:PATH.
-    #[arg(long, value_name = "ADDR", conflicts_with_all = ["serial", "virtual_board"])]
+    #[arg(long, global = true, value_name = "ADDR", conflicts_with_all = ["serial", "virtual_board"])]
     pub connect: Option<String>,
     /// A board simulated in this program: the real control core against a plant model.
-    #[arg(long = "virtual", conflicts_with = "serial")]
+    #[arg(long = "virtual", global = true, conflicts_with = "serial")]
     pub virtual_board: bool,
     /// Rig file that the virtual board drives; the first paper's rig by default.
-    #[arg(long, value_name = "RIG.toml", requires = "virtual_board")]
+    #[arg(long, global = true, value_name = "RIG.toml", requires = "virtual_board")]
     pub virtual_rig: Option<PathBuf>,
     /// Seed of the virtual board's noise.
-    #[arg(long, default_value_t = 1, requires = "virtual_board")]
+    #[arg(long, global = true, default_value_t = 1, requires = "virtual_board")]
     pub virtual_seed: u64,
     /// Let the virtual board run as fast as it can instead of in real time.
-    #[arg(long, requires = "virtual_board")]
+    #[arg(long, global = true, requires = "virtual_board")]
     pub fast: bool,
 }
 

@@ -28,6 +28,9 @@ enum Action {
     Get {
         /// Name.
         name: Option<String>,
+        /// Everything as a settings file, for `set --file` and `compare`.
+        #[arg(long, conflicts_with = "name")]
+        toml: bool,
     },
     /// Change settings: NAME=VALUE, any number of them, all or none.
     Set {
@@ -56,7 +59,11 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let settings = read(&device)?;
     let tree = Value::try_from(&settings)?;
     match args.action {
-        Action::Get { name } => {
+        Action::Get { toml: true, .. } => {
+            print!("{}", toml::to_string_pretty(&settings)?);
+            Ok(())
+        }
+        Action::Get { name, .. } => {
             let value = match &name {
                 None => &tree,
                 Some(name) => find(&tree, name)?,

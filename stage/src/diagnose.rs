@@ -44,6 +44,9 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         AnyRig::Stage(rig) => rig,
         AnyRig::Platform(rig) => return crate::platform::diagnose(&rig, &session, &args.out),
     };
+    for entry in &session.recordings {
+        crate::platform::refuse_free_return(&entry.recording, &entry.path)?;
+    }
     let options = gap::Options { exclude: args.exclude, progress: true };
     let outcome = gap::diagnose(&rig, &session, &options)?;
     let mut json = serde_json::to_string_pretty(&outcome.diagnosis)?;

@@ -24,6 +24,10 @@ pub struct Args {
 
 /// Run the command.
 pub fn run(args: Args) -> anyhow::Result<()> {
+    // Before the work, not after it.
+    if args.out.is_dir() {
+        bail!("{}: expected a file for the calibrated rig, found a folder", args.out.display());
+    }
     match AnyRig::load(&args.rig)? {
         AnyRig::Platform(rig) => {
             crate::platform::identify(&rig, &args.session, args.sample_rate, &args.out)
@@ -34,6 +38,9 @@ pub fn run(args: Args) -> anyhow::Result<()> {
 
 fn stage(rig: &Rig, args: &Args) -> anyhow::Result<()> {
     let session = Session::read(&args.session, args.sample_rate)?;
+    for entry in &session.recordings {
+        crate::platform::refuse_free_return(&entry.recording, &entry.path)?;
+    }
     let Some(name) = args.out.file_name().and_then(|n| n.to_str()) else {
         bail!("{}: expected a file name for the calibrated rig", args.out.display());
     };
@@ -53,5 +60,10 @@ fn stage(rig: &Rig, args: &Args) -> anyhow::Result<()> {
         found.after_nm,
         found.floor_nm
     );
+    if let Some(linear_nm) = found.held_out_linear_nm {
+        println!(
+            "the same third with gains, offsets and lags alone, without slip elements: {linear_nm:.2} nm"
+        );
+    }
     Ok(())
 }

@@ -13,6 +13,7 @@ mod board;
 mod config;
 mod devices;
 mod diagnose;
+mod export;
 mod flash;
 mod identify;
 mod import;
@@ -21,6 +22,7 @@ mod platform;
 mod probe;
 mod record;
 mod replay;
+mod serve;
 mod status;
 mod tune;
 #[cfg(feature = "window")]
@@ -45,6 +47,8 @@ enum Command {
     Status(status::Args),
     /// Record the telemetry to a Parquet file.
     Record(record::Args),
+    /// Write a recording as CSV, or a CSV as Parquet.
+    Export(export::Args),
     /// Run the probe suite that tells the effects apart.
     Probe(probe::Args),
     /// Measure frequency response, loop margins, step response or noise.
@@ -55,6 +59,8 @@ enum Command {
     Config(config::Args),
     /// Put firmware on a board.
     Flash(flash::Args),
+    /// Offer a board (virtual or on USB) on a local socket.
+    Serve(serve::Args),
     /// Run the papers' experiments and the controller in simulation.
     Bench(bench::Args),
     /// Simulate a rig under a recorded drive.
@@ -81,11 +87,13 @@ fn main() -> ExitCode {
         Command::Devices(args) => devices::run(args),
         Command::Status(args) => status::run(args),
         Command::Record(args) => record::run(args),
+        Command::Export(args) => export::run(args),
         Command::Probe(args) => probe::run(args),
         Command::Measure(args) => measure::run(args),
         Command::Tune(args) => tune::run(args),
         Command::Config(args) => config::run(args),
         Command::Flash(args) => flash::run(args),
+        Command::Serve(args) => serve::run(args),
         Command::Completions { shell } => {
             clap_complete::generate(
                 shell,

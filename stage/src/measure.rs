@@ -2,14 +2,11 @@
 
 use std::path::PathBuf;
 
-use flexstage::link::message::Command;
-use flexstage::link::{Fields, Profile};
 use report::plot::{Bode, LinePlot, Series};
 use report::{Report, Table};
 use serde_json::json;
-use telemetry::Device;
 use telemetry::measure::campaign::{
-    closed_loop_response, frequency_response, noise, step_response,
+    Excitation, closed_loop_response, frequency_response, noise_floor, step_response,
 };
 use telemetry::measure::{Frf, margins::Margins};
 
@@ -32,27 +29,33 @@ pub struct Args {
 
 #[derive(clap::Subcommand)]
 enum What {
-    /// Drive to position by multisine, open loop; margins with the feedback on the board.
+    /// Drive to position, open loop; margins with the feedback on the board.
     Response {
+        /// What the stage is driven with.
+        #[arg(long, value_enum, default_value_t)]
+        excitation: ExcitationArg,
         /// Axis, from 1.
         #[arg(long, default_value_t = 1)]
         axis: usize,
         /// Voltage around which is measured.
         #[arg(long, default_value_t = 45.0)]
         bias_v: f64,
-        /// Peak of the multisine, V.
+        /// Peak of the excitation, V.
         #[arg(long, default_value_t = 8.0)]
         amplitude_v: f64,
     },
     /// Reference to position in closed loop with the settings on the board.
     Closed {
+        /// What the stage is driven with.
+        #[arg(long, value_enum, default_value_t)]
+        excitation: ExcitationArg,
         /// Axis, from 1.
         #[arg(long, default_value_t = 1)]
         axis: usize,
         /// Position around which is measured.
         #[arg(long, default_value_t = 6.0)]
         center_um: f64,
-        /// Peak of the multisine, um.
+        /// Peak of the excitation, um.
         #[arg(long, default_value_t = 0.5)]
         amplitude_um: f64,
     },
@@ -76,6 +79,24 @@ enum What {
     },
 }
 
+#[derive(clap::ValueEnum, Clone, Copy, Default)]
+enum ExcitationArg {
+    /// Random-phase multisine: lines every 9.8 Hz to 2.5 kHz.
+    #[default]
+    Multisine,
+    /// Swept sine up and down, 4 Hz to 2 kHz.
+    Sweep,
+}
+
+impl From<ExcitationArg> for Excitation {
+    fn from(arg: ExcitationArg) -> Self {
+        match arg {
+            ExcitationArg::Multisine => Self::Multisine,
+            ExcitationArg::Sweep => Self::Sweep,
+        }
+    }
+}
+
 /// Run the command.
 pub fn run(args: Args) -> anyhow::Result<()> {
     let device = args.board.open()?;
@@ -87,12 +108,13 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         bar.set_message(p.name.clone());
     };
     let (json, lines, page) = match args.what {
-        What::Response { axis, bias_v, amplitude_v } => {
+        What::Response { excitation, axis, bias_v, amplitude_v } => {
             let settings = crate::config::read(&device)?;
             let index = axis_index(axis)?;
             let r = frequency_response(
                 &device,
                 index,
+                excitation.into(),
                 (bias_v, amplitude_v),
                 &settings,
                 &stop,
@@ -104,20 +126,21 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             let page = Report::new(title)
                 .verdict(lines.join("; "))
                 .figure(
-                    &bode("Drive to position (dB of um/V)", &r.plant),
+                    &bode("Drive to position (dB of um/V)", &r.plant, "measured"),
                     "Measured around the bias, open loop.",
                 )
                 .figure(
-                    &bode("Loop gain", &r.loop_gain),
+                    &bode("Loop gain", &r.loop_gain, "measured plant, feedback of the board"),
                     "Measured plant times the feedback on the board.",
                 );
             (json!({"axis": axis, "plant": frf_json(&r.plant), "margins": r.margins}), lines, page)
         }
-        What::Closed { axis, center_um, amplitude_um } => {
+        What::Closed { excitation, axis, center_um, amplitude_um } => {
             let index = axis_index(axis)?;
             let t = closed_loop_response(
                 &device,
                 index,
+                excitation.into(),
                 (center_um, amplitude_um),
                 &stop,
                 &mut progress,
@@ -125,7 +148,10 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             let lines = response_lines(&t, "um/um");
             let page = Report::new(format!("Closed loop of axis {axis}"))
                 .verdict(lines.join("; "))
-                .figure(&bode("Reference to position", &t), "With the settings on the board.");
+                .figure(
+                    &bode("Reference to position", &t, "measured"),
+                    "With the settings on the board.",
+                );
             (json!({"axis": axis, "closed_loop": frf_json(&t)}), lines, page)
         }
         What::Step { axis, from_um, to_um } => {
@@ -158,10 +184,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             (json!({"axis": axis, "step": m}), lines, page)
         }
         What::Noise { seconds } => {
-            let positions = listen(&device, seconds)?;
-            let rate = device.info().sample_rate_hz;
-            let all: Vec<_> =
-                positions.iter().enumerate().map(|(axis, p)| noise(axis, p, rate)).collect();
+            let all = noise_floor(&device, seconds, &stop, &mut progress)?;
             let mut table = Table::new(["axis", "rms (nm)", "above 100 Hz (nm)", "lines"]);
             let mut plot = LinePlot::new("Position noise")
                 .x("frequency (Hz)")
@@ -214,38 +237,18 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Positions of all axes for some seconds, lost ticks as NaN.
-fn listen(device: &Device, seconds: f64) -> anyhow::Result<Vec<Vec<f32>>> {
-    device.command(Command::StreamOn { fields: Fields::RECORDING, profile: Profile::Exact })?;
-    let stream = device.subscribe();
-    let wanted = (seconds.clamp(0.1, 3600.0) * device.info().sample_rate_hz) as u64;
-    let mut out = vec![Vec::new(); telemetry::AXES];
-    let mut first = None;
-    loop {
-        let batch = stream.recv_timeout(std::time::Duration::from_secs(3)).map_err(|_| {
-            anyhow::anyhow!("{}", device.ended().unwrap_or_else(|| "the stream stopped".into()))
-        })?;
-        for sample in batch.samples.iter() {
-            let index = sample.tick - *first.get_or_insert(sample.tick);
-            if index >= wanted {
-                return Ok(out);
-            }
-            for (column, value) in out.iter_mut().zip(sample.position_um) {
-                column.resize(index as usize, f32::NAN);
-                column.push(value);
-            }
-        }
-    }
+/// Bode plot of a response with its coherence.
+pub fn bode(title: &str, frf: &Frf, name: &str) -> Bode {
+    let frequency: Vec<f64> = frf.points.iter().map(|p| p.frequency_hz).collect();
+    let coherence: Vec<f64> = frf.points.iter().map(|p| p.coherence).collect();
+    trace(Bode::new(title), name, frf).coherence(&frequency, &coherence)
 }
 
-/// Bode plot of a response.
-pub fn bode(title: &str, frf: &Frf) -> Bode {
+/// Another response in the same plot.
+pub fn trace(plot: Bode, name: &str, frf: &Frf) -> Bode {
     let frequency: Vec<f64> = frf.points.iter().map(|p| p.frequency_hz).collect();
     let magnitude: Vec<f64> = frf.points.iter().map(|p| p.magnitude_db()).collect();
-    let coherence: Vec<f64> = frf.points.iter().map(|p| p.coherence).collect();
-    Bode::new(title)
-        .trace("measured", &frequency, &magnitude, &frf.phase_deg())
-        .coherence(&frequency, &coherence)
+    plot.trace(name, &frequency, &magnitude, &frf.phase_deg())
 }
 
 fn response_lines(frf: &Frf, unit: &str) -> Vec<String> {
@@ -276,7 +279,8 @@ pub fn margin_lines(m: &Margins) -> Vec<String> {
     ]
 }
 
-fn frf_json(frf: &Frf) -> serde_json::Value {
+/// A response as JSON.
+pub fn frf_json(frf: &Frf) -> serde_json::Value {
     let phase = frf.phase_deg();
     frf.points
         .iter()

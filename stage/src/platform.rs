@@ -8,6 +8,18 @@ use recording::{Recording, Session};
 
 use crate::diagnose::write_all;
 
+/// A free return of a platform says nothing about a stage, whatever its columns: refuse it.
+pub fn refuse_free_return(recording: &Recording, file: &Path) -> anyhow::Result<()> {
+    if recording.meta.initial_position_um.is_some() {
+        bail!(
+            "{}: a free return of a platform (its metadata has initial_position_um), but the rig is a stage: expected a \
+             rig of kind = \"platform\"",
+            file.display()
+        );
+    }
+    Ok(())
+}
+
 /// `flexstage diagnose` for a platform.
 pub fn diagnose(rig: &PlatformRig, session: &Session, out: &Path) -> anyhow::Result<()> {
     let outcome = gap::platform::diagnose(rig, session)?;

@@ -4,8 +4,6 @@ use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use flexstage::link::message::Command;
-use flexstage::link::{Fields, Profile};
 use telemetry::recorder::{Ended, Recorder};
 
 use crate::board::{BoardArgs, on_interrupt, seconds_bar};
@@ -49,9 +47,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let file = args.file.as_deref().unwrap_or_else(|| unreachable!("clap asks for it"));
     let device = args.board.open()?;
     let stop = on_interrupt()?;
+    device.stream()?;
     let recorder = Recorder::start(&device, file, &args.experiment, &args.rig)?;
-    let fields = Fields::RECORDING.with(Fields::CYCLES);
-    device.command(Command::StreamOn { fields, profile: Profile::Exact })?;
     let bar = seconds_bar(args.seconds.unwrap_or(0.0));
     let progress = loop {
         std::thread::sleep(Duration::from_millis(20));

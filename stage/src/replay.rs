@@ -39,6 +39,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             return crate::platform::replay(&rig, &recording, &args.recording, &args.out);
         }
     };
+    crate::platform::refuse_free_return(&recording, &args.recording)?;
     let predicted = predict(&rig, &recording, &args.recording)?;
     predicted.write(&args.out)?;
     Ok(())

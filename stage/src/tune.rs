@@ -3,14 +3,19 @@
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 
-use flexstage::link::message::{Command, Reply};
+use anyhow::Context;
+use host_sim::Rig;
 use report::{Report, Table};
 use serde_json::json;
-use telemetry::measure::campaign::frequency_response;
-use telemetry::tune::{LoopFigures, propose};
+use telemetry::measure::Frf;
+use telemetry::tune::LoopFigures;
+use telemetry::tune::study::{Applied, Level, Study, apply, distance, study, study_model};
 
 use crate::board::{BoardArgs, axis_index, on_interrupt, seconds_bar};
-use crate::measure::{bode, margin_lines};
+use crate::measure::{bode, frf_json, margin_lines, trace};
+
+/// Band in which prediction and measurement are compared, Hz.
+const BAND_HZ: f64 = 500.0;
 
 /// Options of `flexstage tune`.
 #[derive(clap::Args)]
@@ -23,9 +28,12 @@ pub struct Args {
     /// Voltage around which is measured.
     #[arg(long, default_value_t = 45.0)]
     bias_v: f64,
-    /// Peak of the multisine, V.
+    /// Peak of the excitation, V.
     #[arg(long, default_value_t = 8.0)]
     amplitude_v: f64,
+    /// Tune on a rig file (from `identify` or `diagnose`) instead of a measurement of the stage; the feedforward is then the rig's.
+    #[arg(long, value_name = "RIG.toml")]
+    model: Option<PathBuf>,
     /// Apply without asking.
     #[arg(long)]
     apply: bool,
@@ -42,53 +50,59 @@ pub struct Args {
 
 /// Run the command.
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let index = axis_index(args.axis)?;
+    let axis = axis_index(args.axis)?;
+    let model = args.model.as_deref().map(Rig::load).transpose()?;
+    if let Some(path) = args.write.iter().chain(&args.out).find(|path| path.is_dir()) {
+        anyhow::bail!("{}: expected a file to write, found a folder", path.display());
+    }
     let device = args.board.open()?;
     let stop = on_interrupt()?;
-    let settings = crate::config::read(&device)?;
     let bar = seconds_bar(0.0);
-    let level = (args.bias_v, args.amplitude_v);
+    let level = Level { bias_v: args.bias_v, amplitude_v: args.amplitude_v };
     let mut progress = |p: &telemetry::probe::Progress| {
         bar.set_length((p.total_s * 10.0) as u64);
         bar.set_position((p.done_s * 10.0) as u64);
         bar.set_message(p.name.clone());
     };
-    let before = frequency_response(&device, index, level, &settings, &stop, &mut progress)?;
-    let proposal = propose(&before.plant, &settings, index).ok_or_else(|| {
-        anyhow::anyhow!(
-            "the response of axis {} is too noisy, or no gains keep the margins: measure with a larger --amplitude-v, \
-             look at `flexstage measure response`",
-            args.axis
-        )
-    })?;
+    let study = match &model {
+        Some(rig) => {
+            let in_effect = crate::config::read(&device)?;
+            study_model(rig, &in_effect, axis, level, &stop, &mut progress)?
+        }
+        None => study(&device, axis, level, &stop, &mut progress)?,
+    };
+    let proposal = &study.proposal;
     bar.finish_and_clear();
     if !args.json {
         println!("axis {}: {}", args.axis, proposal.changes.join("\n        "));
         println!("now        {}", figures(&proposal.before));
         println!("predicted  {}", figures(&proposal.predicted));
+        println!("           {}", closed_words(&study.closed_predicted));
     }
     if let Some(path) = &args.write {
-        std::fs::write(path, toml::to_string_pretty(&proposal.settings)?)?;
+        std::fs::write(path, toml::to_string_pretty(&proposal.settings)?)
+            .with_context(|| format!("{}: cannot write", path.display()))?;
     }
     let is_wanted = args.apply || (!args.json && confirm()?);
-    let mut measured = None;
-    if is_wanted {
-        let Reply::Configured { tick, digest } =
-            device.command(Command::SetSettings(proposal.settings.clone()))?
-        else {
-            anyhow::bail!("the board did not say what took effect");
-        };
-        let after =
-            frequency_response(&device, index, level, &proposal.settings, &stop, &mut progress)?;
+    let applied = if is_wanted {
+        bar.reset();
+        let applied = apply(&device, &study, &stop, &mut progress)?;
         bar.finish_and_clear();
         if !args.json {
             println!(
-                "applied    settings {digest:08x} from tick {tick}, not saved (`flexstage config save`)"
+                "applied    settings {:08x} from tick {}, not saved (`flexstage config save`)",
+                applied.digest, applied.tick
             );
-            println!("measured   {}", margin_lines(&after.margins).join("; "));
+            println!("measured   {}", margin_lines(&applied.after.margins).join("; "));
+            println!("           {}", closed_words(&applied.closed));
+            if let Some(words) = agreement(&study, &applied) {
+                println!("           {words}");
+            }
         }
-        measured = Some(after);
-    }
+        Some(applied)
+    } else {
+        None
+    };
     if args.json {
         let out = json!({
             "axis": args.axis,
@@ -96,32 +110,81 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             "plant": proposal.plant,
             "before": proposal.before,
             "predicted": proposal.predicted,
-            "measured": measured.as_ref().map(|m| m.margins),
+            "predicted_closed_loop": frf_json(&study.closed_predicted),
+            "measured": applied.as_ref().map(|a| a.after.margins),
+            "measured_closed_loop": applied.as_ref().map(|a| frf_json(&a.closed)),
+            "prediction_off": applied.as_ref().and_then(|a| distance(&study.closed_predicted, &a.closed, BAND_HZ)),
             "applied": is_wanted,
         });
         println!("{}", serde_json::to_string_pretty(&out)?);
     }
     if let Some(path) = &args.out {
-        let mut table = Table::new(["", "loop"])
-            .row(["now".to_owned(), figures(&proposal.before)])
-            .row(["predicted".to_owned(), figures(&proposal.predicted)]);
-        if let Some(after) = &measured {
-            table = table.row(["measured".to_owned(), margin_lines(&after.margins).join("; ")]);
-        }
-        let mut page = Report::new(format!("Tuning of axis {}", args.axis))
-            .verdict(proposal.changes.join("; "))
-            .table(table)
-            .figure(&bode("Drive to position", &before.plant), "Measured open loop.")
-            .figure(&bode("Loop gain now", &before.loop_gain), "Before.");
-        if let Some(after) = &measured {
-            page = page.figure(
-                &bode("Loop gain after", &after.loop_gain),
-                "Measured again with the proposal.",
-            );
-        }
-        page.write(path)?;
+        page(&study, applied.as_ref())
+            .write(path)
+            .with_context(|| format!("{}: cannot write", path.display()))?;
     }
     Ok(())
+}
+
+/// Plots of before, prediction and measurement, side by side.
+fn page(study: &Study, applied: Option<&Applied>) -> Report {
+    let proposal = &study.proposal;
+    let mut table = Table::new(["", "loop", "reference to position"])
+        .row(["now".to_owned(), figures(&proposal.before), closed_words(&study.closed_before)])
+        .row([
+            "predicted".to_owned(),
+            figures(&proposal.predicted),
+            closed_words(&study.closed_predicted),
+        ]);
+    let mut closed = bode("Reference to position", &study.closed_before, "before");
+    closed = trace(closed, "predicted", &study.closed_predicted);
+    let mut verdict = proposal.changes.join("; ");
+    if let Some(applied) = applied {
+        let margins = margin_lines(&applied.after.margins).join("; ");
+        table = table.row(["measured".to_owned(), margins, closed_words(&applied.closed)]);
+        closed = trace(closed, "measured", &applied.closed);
+        if let Some(words) = agreement(study, applied) {
+            verdict = format!("{verdict}; {words}");
+        }
+    }
+    let gain = telemetry::measure::campaign::with_controller(
+        study.before.plant.clone(),
+        &proposal.settings,
+        study.axis,
+    );
+    let mut loop_gain = bode("Loop gain", &study.before.loop_gain, "before");
+    loop_gain = trace(loop_gain, "predicted", &gain.loop_gain);
+    if let Some(applied) = applied {
+        loop_gain = trace(loop_gain, "measured", &applied.after.loop_gain);
+    }
+    Report::new(format!("Tuning of axis {}", study.axis + 1))
+        .verdict(verdict)
+        .table(table)
+        .figure(
+            &closed,
+            "Closed loop: before, as predicted for the proposal, and as measured with it.",
+        )
+        .figure(&loop_gain, "Measured drive to position times the feedback.")
+        .figure(
+            &bode("Drive to position (dB of um/V)", &study.before.plant, "measured"),
+            "Open loop, around the bias.",
+        )
+}
+
+fn agreement(study: &Study, applied: &Applied) -> Option<String> {
+    let off = distance(&study.closed_predicted, &applied.closed, BAND_HZ)?;
+    Some(format!(
+        "prediction and measurement differ by {:.1} % rms up to {BAND_HZ:.0} Hz",
+        100.0 * off
+    ))
+}
+
+/// Bandwidth and peak of a closed loop in words.
+fn closed_words(t: &Frf) -> String {
+    let bandwidth =
+        t.bandwidth_hz().map_or("above the measured band".into(), |f| format!("at {f:.0} Hz"));
+    let peak = t.coherent(0.8).points.iter().map(|p| p.magnitude_db()).fold(f64::MIN, f64::max);
+    format!("closed loop -3 dB {bandwidth}, highest gain {peak:.1} dB")
 }
 
 fn figures(f: &LoopFigures) -> String {

@@ -11,7 +11,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use flexstage::link::message::{self, Command, Reply, SCHEMA_HASH};
-use flexstage::link::{Identity, Kind, MAX_FRAME, encode};
+use flexstage::link::{Fields, Identity, Kind, MAX_FRAME, Profile, encode};
 use serde::Serialize;
 
 use crate::decode::{Received, StreamDecoder, StreamStatistics};
@@ -94,11 +94,22 @@ struct Shared {
     statistics: Mutex<StreamStatistics>,
     ended: Mutex<Option<String>>,
     is_connected: AtomicBool,
+    /// Whether this session has started the stream.
+    has_streamed: AtomicBool,
 }
 
 /// A lock that a panicked thread held is still good here: all guarded values are valid after every single write.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Open the way to a board.
+pub fn connect(target: &Target) -> Result<Box<dyn Transport>> {
+    Ok(match target {
+        Target::Usb { serial } => Box::new(UsbTransport::open(serial.as_deref())?),
+        Target::Socket(address) => Box::new(SocketTransport::connect(address)?),
+        Target::Virtual(options) => Box::new(VirtualBoard::start(options)?),
+    })
 }
 
 /// A connected board. Dropping it closes the connection.
@@ -112,11 +123,7 @@ pub struct Device {
 impl Device {
     /// Connect, identify, check the version.
     pub fn open(target: &Target) -> Result<Self> {
-        match target {
-            Target::Usb { serial } => Self::start(Box::new(UsbTransport::open(serial.as_deref())?)),
-            Target::Socket(address) => Self::start(Box::new(SocketTransport::connect(address)?)),
-            Target::Virtual(options) => Self::start(Box::new(VirtualBoard::start(options)?)),
-        }
+        Self::start(connect(target)?)
     }
 
     /// A session over an open transport.
@@ -138,6 +145,7 @@ impl Device {
             statistics: Mutex::default(),
             ended: Mutex::default(),
             is_connected: AtomicBool::new(true),
+            has_streamed: AtomicBool::new(false),
         });
         let (orders, inbox) = mpsc::channel();
         let pump = Pump {
@@ -182,6 +190,23 @@ impl Device {
         let (sender, receiver) = mpsc::channel();
         lock(&self.shared.subscribers).push(sender);
         receiver
+    }
+
+    /// Make the board stream everything that is drawn and recorded, unless this session had it do so already: a new start would cost a
+    /// few ticks. What an earlier session left on its way is not taken for a loss; subscribe afterwards.
+    pub fn stream(&self) -> Result<()> {
+        let fields = Fields::RECORDING.with(Fields::CYCLES);
+        let on = Command::StreamOn { fields, profile: Profile::Exact };
+        if !self.shared.has_streamed.swap(true, Ordering::AcqRel) {
+            return self.command(on).map(|_| ());
+        }
+        let Reply::Status(status) = self.command(Command::Status)? else {
+            return Err(Error::Invalid("the board did not answer with its status".into()));
+        };
+        if status.stream != Some((fields, Profile::Exact)) {
+            self.command(on)?;
+        }
+        Ok(())
     }
 
     /// Send a command and wait for what took effect. A refusal is an error that says why.

@@ -45,7 +45,7 @@ pub enum Error {
     },
     /// The address cannot be reached.
     #[error(
-        "cannot connect to {address}: {reason}; expected a board emulated with `cargo xtask emulate --listen {address}`"
+        "cannot connect to {address}: {reason}; expected a board there, emulated with `cargo xtask emulate --listen {address}` or offered with `flexstage serve --listen {address}`"
     )]
     Connect {
         /// Address.

@@ -163,6 +163,21 @@ impl History {
         self.trace(channel, axis).slice(from.saturating_sub(origin), to.saturating_sub(origin))
     }
 
+    /// Every `stride`th sample between two ticks, for pictures that need no extremes. Lost ticks are NaN.
+    pub fn every(
+        &self,
+        channel: Channel,
+        axis: usize,
+        (from, to): (u64, u64),
+        stride: u64,
+    ) -> Vec<f32> {
+        let (first, end) = self.ticks();
+        (from.max(first)..to.min(end))
+            .step_by(stride.max(1) as usize)
+            .map(|tick| self.value(channel, axis, tick))
+            .collect()
+    }
+
     /// Columns for drawing between two ticks; see [`Pyramid::columns`]. `start` is a tick.
     pub fn columns(
         &self,

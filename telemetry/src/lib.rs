@@ -13,6 +13,7 @@ pub mod probe;
 pub mod pyramid;
 pub mod recorder;
 pub mod sample;
+pub mod serve;
 pub mod transport;
 pub mod tune;
 pub mod virtual_board;

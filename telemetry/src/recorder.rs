@@ -201,7 +201,7 @@ impl Job {
 fn cannot_write(path: &Path, error: &str) -> Ended {
     Ended::CannotWrite {
         reason: format!(
-            "{error}; what was written before is kept in {0}.part and {0}.journal: free some space and open {0} again",
+            "{error}; what was written before is kept in {0}.part and {0}.journal: free some space and run `flexstage record --recover {0}`",
             path.display()
         ),
     }

@@ -83,7 +83,9 @@ impl VirtualBoard {
         };
         let plant =
             Plant::new(&options.rig, plant_options).map_err(|e| Error::Rig(e.to_string()))?;
-        let board = Board::new(plant, options)?;
+        let mut board = Board::new(plant, options)?;
+        // By the time a host finds a board its guard has seen that the drives are parked.
+        (0..BATCH_TICKS).for_each(|_| board.step());
         let (to_board, inbox) = mpsc::channel();
         let (outbox, from_board) = mpsc::sync_channel(QUEUE_FRAMES);
         let speed = options.speed;

@@ -4,6 +4,7 @@
 //! under `panels` draws one panel from plain data. Nothing in the drawing code waits for the board.
 
 pub mod app;
+mod clock;
 pub mod link;
 mod panels;
 mod settings_text;

@@ -64,7 +64,8 @@ impl Machine {
     pub(super) fn add_tlb(u: &mut Unicorn<'static, Core>, image: &Rc<Image>) -> Result<()> {
         uc("tlb type", u.ctl_set_tlb_type(TlbType::VIRTUAL))?;
         let image = image.clone();
-        let translate = move |_: &mut Unicorn<'_, Core>, at: u64, _: MemType| {
+        let translate = move |u: &mut Unicorn<'_, Core>, at: u64, _: MemType| {
+            u.get_data_mut().stale_it = true;
             let ram = (CCM as u64..CCM as u64 + CCM_BYTES as u64).contains(&at)
                 || (SRAM as u64..0x2002_0000).contains(&at);
             let data = ram && !image.runs_code(at as u32, 4096);

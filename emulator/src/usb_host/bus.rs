@@ -262,6 +262,8 @@ impl Host {
         }
         let port = match self.port {
             Port::Debouncing(t) | Port::Resetting(t) | Port::Recovering(t) => t,
+            // What was under way when the frames stopped goes on when they come back.
+            Port::Enabled if self.asleep => return self.suspend_at,
             Port::Enabled
                 if self.running.is_none() && self.queues.iter().any(|q| !q.1.is_empty()) =>
             {

@@ -128,7 +128,6 @@ fn whole(b: &mut Bench) {
 }
 
 #[test]
-#[ignore = "not yet seen to pass whole: run with --ignored"]
 fn gauges_and_amplifiers() {
     let Some(image) = image() else { return };
     let mut b = armed(&image, 21, watched);
@@ -201,7 +200,6 @@ fn gauges_and_amplifiers() {
 }
 
 #[test]
-#[ignore = "not yet seen to pass whole: run with --ignored"]
 fn converters_time_and_silence() {
     let Some(image) = image() else { return };
     let mut rows = Vec::new();
@@ -311,7 +309,6 @@ fn comes_back(b: &mut Bench) {
 }
 
 #[test]
-#[ignore = "not yet seen to pass whole: run with --ignored"]
 fn usb_trouble_mid_stream_does_not_touch_the_loop() {
     let Some(image) = image() else { return };
     println!("| fault | ticks missed | stream |");

@@ -276,6 +276,9 @@ impl LinePlot {
         for (index, series) in self.series.iter().enumerate() {
             let ink = colour(series.colour.unwrap_or(index));
             let style = ink.stroke_width(2);
+            // A cloud of points is a pale band, on which a line of another series is still seen.
+            let cloud = series.points.len() > COLUMNS / 4;
+            let (radius, fill) = if cloud { (2, ink.mix(0.35)) } else { (3, ink.mix(1.0)) };
             let inside = |p: &(f64, f64)| self.shows(p) && p.0 >= x0 && p.0 <= x1;
             let drawn = match series.mark {
                 Mark::Line | Mark::Dashed => {
@@ -305,7 +308,7 @@ impl LinePlot {
                         .points
                         .iter()
                         .filter(|p| inside(p))
-                        .map(|&(x, y)| Circle::new((x, inside_y(y)), 3, ink.filled()));
+                        .map(|&(x, y)| Circle::new((x, inside_y(y)), radius, fill.filled()));
                     chart.draw_series(dots).map_err(text)?
                 }
                 Mark::Stems => {
@@ -319,7 +322,7 @@ impl LinePlot {
             };
             drawn
                 .label(series.name.clone())
-                .legend(move |(x, y)| Circle::new((x + 9, y), 4, ink.filled()));
+                .legend(move |(x, y)| Circle::new((x + 9, y), 4, fill.filled()));
         }
         if self.series.len() > 1 {
             chart

@@ -1,8 +1,9 @@
 //! Measurements on a board: what is driven, what is computed, in one call each.
 
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
-use flexstage::Settings;
+use flexstage::{Flags, Settings, State};
 use recording::Recording;
 use serde::Serialize;
 
@@ -11,9 +12,11 @@ use super::psd::{Psd, welch};
 use super::step::{StepMetrics, step_metrics};
 use super::{Frf, frf};
 use crate::device::Device;
-use crate::probe::plan::{Phase, Waveform, odd_multisine};
+use crate::probe::plan::Phase;
+use crate::probe::waveform::{Waveform, odd_multisine};
 use crate::probe::{Experiment, Mode, Progress, capture};
-use crate::tune::controller_response;
+use crate::sample::AXES;
+use crate::tune::loop_gain;
 use crate::{Error, Result};
 
 /// Period of the multisine in ticks: one table point a tick, lines every 9.77 Hz.
@@ -24,6 +27,26 @@ const HIGHEST: usize = 255;
 const PERIODS: usize = 40;
 /// Coherence below which a line says nothing.
 const COHERENT: f64 = 0.8;
+
+/// Swept sine: length of one sweep, s, and its ends, Hz.
+const SWEEP_S: f64 = 4.0;
+const SWEEP_HZ: (f64, f64) = (4.0, 2000.0);
+/// Segment of its averaged spectra, samples (0.82 s), and points a decade.
+const SWEEP_SEGMENT: usize = 8192;
+const SWEEP_PER_DECADE: usize = 40;
+
+/// Silence of the stream after which the board counts as stuck.
+const SILENCE: Duration = Duration::from_secs(3);
+
+/// What a frequency response is measured with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Excitation {
+    /// Random-phase multisine, lines every 9.8 Hz to 2.5 kHz: exact, no leakage; coherence from the scatter of 40 periods.
+    #[default]
+    Multisine,
+    /// Swept sine up and down, 4 Hz to 2 kHz: lower frequencies and more amplitude at each; coherence by averaged spectra.
+    Sweep,
+}
 
 /// A frequency response and what follows from it.
 #[derive(Clone, Debug)]
@@ -76,8 +99,75 @@ fn multisine(name: &str, center: f64, amplitude: f64, axis: usize) -> Experiment
     }
 }
 
-/// Whole periods at the end of a recording, lost ticks as NaN.
-fn last_periods(recording: &Recording, column: &[f32]) -> Vec<f32> {
+fn sweep(name: &str, center: f64, amplitude: f64, axis: usize) -> Experiment {
+    let sweep = |from_hz: f64, to_hz: f64| Waveform::Sweep {
+        center_v: center,
+        amplitude_v: amplitude,
+        from_hz,
+        to_hz,
+        duration_s: SWEEP_S,
+    };
+    let (low, high) = SWEEP_HZ;
+    let ramp = Waveform::Ramp { to_v: center, duration_s: 0.2 };
+    Experiment {
+        name: name.to_owned(),
+        condition_v: 0.0,
+        phases: vec![
+            Phase { at_s: 0.0, moves: vec![(axis, ramp)] },
+            Phase { at_s: 0.25, moves: vec![(axis, sweep(low, high))] },
+            Phase { at_s: 0.3 + SWEEP_S, moves: vec![(axis, sweep(high, low))] },
+        ],
+        duration_s: 0.4 + 2.0 * SWEEP_S,
+        period_s: None,
+        table: None,
+    }
+}
+
+fn excite(
+    excitation: Excitation,
+    name: &str,
+    (center, amplitude): (f64, f64),
+    axis: usize,
+) -> Experiment {
+    match excitation {
+        Excitation::Multisine => multisine(name, center, amplitude, axis),
+        Excitation::Sweep => sweep(name, center, amplitude, axis),
+    }
+}
+
+/// Response of one recorded column to another.
+fn respond(
+    excitation: Excitation,
+    recording: &Recording,
+    input: &[f32],
+    output: &[f32],
+) -> Result<Frf> {
+    let rate = recording.meta.sample_rate_hz;
+    let (input, output) = (on_ticks(recording, input), on_ticks(recording, output));
+    let out = match excitation {
+        Excitation::Multisine => {
+            // Whole periods at the end: the first ones hold the transient.
+            let start = input.len() - (PERIODS * PERIOD).min(input.len());
+            frf::periodic(&input[start..], &output[start..], rate, PERIOD)
+        }
+        Excitation::Sweep => {
+            // After the ramp to the bias.
+            let start = ((0.3 * rate) as usize).min(input.len());
+            let (input, output) = (&input[start..], &output[start..]);
+            frf::swept(input, output, rate, SWEEP_SEGMENT, SWEEP_HZ, SWEEP_PER_DECADE)
+        }
+    };
+    if out.points.is_empty() {
+        return Err(Error::Invalid(
+            "no stretch without a lost tick is long enough for a response: is this computer too busy to read the stream?"
+                .into(),
+        ));
+    }
+    Ok(out)
+}
+
+/// A recorded column with lost ticks as NaN.
+fn on_ticks(recording: &Recording, column: &[f32]) -> Vec<f32> {
     let mut out = Vec::with_capacity(column.len());
     let mut expected = recording.tick.first().copied().unwrap_or(0);
     for (&tick, &value) in recording.tick.iter().zip(column) {
@@ -88,8 +178,7 @@ fn last_periods(recording: &Recording, column: &[f32]) -> Vec<f32> {
         out.push(value);
         expected += 1;
     }
-    let keep = (PERIODS * PERIOD).min(out.len());
-    out.split_off(out.len() - keep)
+    out
 }
 
 fn column(column: &Option<Vec<f32>>, what: &str) -> Result<Vec<f32>> {
@@ -100,29 +189,23 @@ fn column(column: &Option<Vec<f32>>, what: &str) -> Result<Vec<f32>> {
 pub fn frequency_response(
     device: &Device,
     axis: usize,
-    (bias_v, amplitude_v): (f64, f64),
+    excitation: Excitation,
+    level_v: (f64, f64),
     settings: &Settings,
     stop: &AtomicBool,
     progress: &mut dyn FnMut(&Progress),
 ) -> Result<Response> {
-    let experiment = multisine("frequency response", bias_v, amplitude_v, axis);
+    let experiment = excite(excitation, "frequency response", level_v, axis);
     let recording = one(device, experiment, axis, Mode::OpenLoop, stop, progress)?;
-    let rate = recording.meta.sample_rate_hz;
-    let drive = last_periods(&recording, &recording.drive_v[axis]);
-    let position = last_periods(&recording, &column(&recording.position_um[axis], "position")?);
-    let plant = frf::periodic(&drive, &position, rate, PERIOD);
-    if plant.points.is_empty() {
-        return Err(Error::Invalid(
-            "no whole period without a lost tick was recorded: is the board streaming at full rate?".into(),
-        ));
-    }
+    let position = column(&recording.position_um[axis], "position")?;
+    let plant = respond(excitation, &recording, &recording.drive_v[axis], &position)?;
     Ok(with_controller(plant, settings, axis))
 }
 
 /// The loop that a measured plant makes with a board's feedback.
 pub fn with_controller(plant: Frf, settings: &Settings, axis: usize) -> Response {
     let feedback = &settings.axes[axis].feedback;
-    let loop_gain = plant.coherent(COHERENT).map(|f| controller_response(feedback, f));
+    let loop_gain = loop_gain(&plant.coherent(COHERENT), feedback);
     let margins = margins(&loop_gain);
     Response { plant, loop_gain, margins }
 }
@@ -131,16 +214,16 @@ pub fn with_controller(plant: Frf, settings: &Settings, axis: usize) -> Response
 pub fn closed_loop_response(
     device: &Device,
     axis: usize,
-    (center_um, amplitude_um): (f64, f64),
+    excitation: Excitation,
+    level_um: (f64, f64),
     stop: &AtomicBool,
     progress: &mut dyn FnMut(&Progress),
 ) -> Result<Frf> {
-    let experiment = multisine("closed loop", center_um, amplitude_um, axis);
+    let experiment = excite(excitation, "closed loop", level_um, axis);
     let recording = one(device, experiment, axis, Mode::ClosedLoop, stop, progress)?;
-    let rate = recording.meta.sample_rate_hz;
-    let reference = last_periods(&recording, &column(&recording.reference_um[axis], "reference")?);
-    let position = last_periods(&recording, &column(&recording.position_um[axis], "position")?);
-    Ok(frf::periodic(&reference, &position, rate, PERIOD))
+    let reference = column(&recording.reference_um[axis], "reference")?;
+    let position = column(&recording.position_um[axis], "position")?;
+    respond(excitation, &recording, &reference, &position)
 }
 
 /// Step response in closed loop with the settings on the board: figures, time (s from the step), position and reference (um).
@@ -215,4 +298,52 @@ pub fn noise(axis: usize, position_um: &[f32], sample_rate_hz: f64) -> Noise {
     let above_100hz = above.and_then(|i| psd.rms_above().get(i).copied()).unwrap_or(0.0);
     let lines = psd.lines(5.0).into_iter().take(5).map(|(f, a)| (f, a * 1e3)).collect();
     Noise { axis: axis + 1, rms_nm: psd.rms() * 1e3, above_100hz_nm: above_100hz * 1e3, lines, psd }
+}
+
+/// Noise of all axes while nothing is driven. The stage stays as it is: parked or holding.
+pub fn noise_floor(
+    device: &Device,
+    seconds: f64,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(&Progress),
+) -> Result<Vec<Noise>> {
+    device.stream()?;
+    let stream = device.subscribe();
+    let rate = device.info().sample_rate_hz;
+    let total_s = seconds.clamp(0.1, 3600.0);
+    let wanted = (total_s * rate) as u64;
+    let mut positions = vec![Vec::new(); AXES];
+    let mut first = None;
+    let mut done = 0;
+    while done < wanted {
+        if stop.load(Ordering::Acquire) {
+            return Err(Error::Stopped("nothing was driven".into()));
+        }
+        let batch = stream.recv_timeout(SILENCE).map_err(|_| Error::Lost {
+            board: device.info().name.clone(),
+            reason: device
+                .ended()
+                .unwrap_or_else(|| format!("no samples for {} s", SILENCE.as_secs())),
+        })?;
+        if batch.restarted {
+            let board = device.info().name.clone();
+            return Err(Error::Lost { board, reason: "it restarted".into() });
+        }
+        for sample in batch.samples.iter() {
+            if Flags(sample.flags).state() == State::Run {
+                return Err(Error::Invalid(
+                    "the noise floor is measured at rest, a waveform runs: hold or stop it first"
+                        .into(),
+                ));
+            }
+            done = sample.tick - *first.get_or_insert(sample.tick);
+            for (column, value) in positions.iter_mut().zip(sample.position_um) {
+                column.resize(done as usize, f32::NAN);
+                column.push(value);
+            }
+        }
+        let done_s = (done as f64 / rate).min(total_s);
+        progress(&Progress { index: 0, count: 1, name: "noise floor".into(), done_s, total_s });
+    }
+    Ok(positions.iter().enumerate().map(|(axis, p)| noise(axis, p, rate)).collect())
 }

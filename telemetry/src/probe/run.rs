@@ -9,12 +9,13 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
 use flexstage::link::message::{Command, Reply, TABLE_CHUNK};
-use flexstage::link::{Fields, Profile};
 use flexstage::{Flags, Settings, State};
 use recording::{Meta, Recording};
 use serde::Serialize;
 
-use super::plan::{CONDITION_S, Experiment, Waveform, check, open_loop, scale_um_per_v};
+use super::limits::{check, open_loop, scale_um_per_v};
+use super::plan::{CONDITION_S, Experiment};
+use super::waveform::Waveform;
 use crate::device::{Batch, Device};
 use crate::recorder::to_recording;
 use crate::sample::Sample;
@@ -78,17 +79,23 @@ pub fn run(
             folder.display()
         )));
     }
+    let is_new = !folder.exists();
     std::fs::create_dir_all(folder).map_err(file_error)?;
     let mut report = Report { folder: folder.to_owned(), files: Vec::new(), lost_ticks: 0 };
-    capture(device, plan, axes, Mode::OpenLoop, stop, progress, &mut |index, mut recording| {
-        recording.meta.rig = rig.to_owned();
-        report.lost_ticks += recording.lost().iter().map(|lost| lost.ticks).sum::<u64>();
-        let path = folder.join(format!("{index:02}-{}.parquet", recording.meta.experiment));
-        recording.write(&path)?;
-        report.files.push(path);
-        Ok(())
-    })?;
-    Ok(report)
+    let done =
+        capture(device, plan, axes, Mode::OpenLoop, stop, progress, &mut |index, mut recording| {
+            recording.meta.rig = rig.to_owned();
+            report.lost_ticks += recording.lost().iter().map(|lost| lost.ticks).sum::<u64>();
+            let path = folder.join(format!("{index:02}-{}.parquet", recording.meta.experiment));
+            recording.write(&path)?;
+            report.files.push(path);
+            Ok(())
+        });
+    if done.is_err() && is_new && report.files.is_empty() {
+        // Only when it is empty; what cannot be removed stays.
+        let _ = std::fs::remove_dir(folder);
+    }
+    done.map(|()| report)
 }
 
 /// Run a plan and hand out each recording as it is complete.
@@ -117,11 +124,7 @@ pub fn capture(
             if Flags(status.flags).state() == State::Fault { " and clear its faults" } else { "" },
         )));
     }
-    let wanted = Fields::RECORDING;
-    if !status.stream.is_some_and(|(fields, _)| fields.contains(wanted)) {
-        let fields = wanted.with(Fields::CYCLES);
-        device.command(Command::StreamOn { fields, profile: Profile::Exact })?;
-    }
+    device.stream()?;
     let settings = match mode {
         Mode::OpenLoop => open_loop(&before),
         Mode::ClosedLoop => before.clone(),

@@ -4,6 +4,7 @@
 
 mod socket;
 mod usb;
+pub(crate) mod wire;
 
 use std::time::Duration;
 
@@ -11,6 +12,9 @@ pub use socket::SocketTransport;
 pub use usb::{UsbBoard, UsbTransport, list as list_usb};
 
 use crate::Result;
+
+/// What a second client of a socket is told.
+pub(crate) const ANOTHER_CLIENT: &str = "another client has this board";
 
 /// Moves bulk transfers. Used from one thread.
 pub trait Transport: Send {
@@ -33,7 +37,7 @@ pub enum Target {
         /// Serial number, or any when there is only one board.
         serial: Option<String>,
     },
-    /// The emulated board: `host:port` or `unix:/path`.
+    /// The emulated board, or one that `flexstage serve` offers: `host:port` or `unix:/path`.
     Socket(String),
     /// Simulated in this process.
     Virtual(crate::virtual_board::Options),

@@ -1,7 +1,4 @@
-//! The emulated board on a local socket: the unmodified firmware runs in `cargo xtask emulate --listen ADDR`.
-//!
-//! One message is `[u32 LE length][u8 kind][bytes]`; see the emulator's documentation. Kinds: server to client HELLO (who it is, after
-//! accepting and after each enumeration), IN (one completed bulk IN transfer), DETACHED (reason); client to server OUT.
+//! A board on a local socket: the firmware in `cargo xtask emulate --listen ADDR`, or any board that `flexstage serve` offers.
 
 use std::io::{self, Read, Write};
 use std::net::TcpStream;
@@ -9,15 +6,10 @@ use std::net::TcpStream;
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
-use super::Transport;
+use super::wire::{DETACHED, HELLO, IN, LONGEST, OUT};
+use super::{ANOTHER_CLIENT, Transport, wire};
 use crate::{Error, Result};
 
-const HELLO: u8 = 0x01;
-const IN: u8 = 0x02;
-const DETACHED: u8 = 0x03;
-const OUT: u8 = 0x10;
-/// Longest message that makes sense; anything else on the port is no emulated board.
-const LONGEST: usize = 1 << 20;
 /// How long a server may take to say hello.
 const HELLO_TIMEOUT: Duration = Duration::from_secs(5);
 
@@ -42,6 +34,8 @@ impl Stream for UnixStream {
 /// Connection to an emulated board.
 pub struct SocketTransport {
     address: String,
+    /// What the server says it is.
+    what: String,
     stream: Box<dyn Stream>,
     /// Bytes of messages that are not complete yet.
     pending: Vec<u8>,
@@ -65,15 +59,26 @@ impl SocketTransport {
                 Box::new(stream)
             }
         };
-        let mut transport = Self { address: address.to_owned(), stream, pending: Vec::new() };
+        let mut transport = Self {
+            address: address.to_owned(),
+            what: "the board".to_owned(),
+            stream,
+            pending: Vec::new(),
+        };
         let deadline = Instant::now() + HELLO_TIMEOUT;
         while Instant::now() < deadline {
-            match transport.message(Duration::from_millis(100))? {
-                Some((HELLO, _)) => return Ok(transport),
-                Some((DETACHED, reason)) => {
+            match transport.message(Duration::from_millis(100)) {
+                Ok(Some((HELLO, body))) => {
+                    transport.what = product(&body);
+                    return Ok(transport);
+                }
+                Ok(Some((DETACHED, reason))) => {
                     return Err(transport.lost(String::from_utf8_lossy(&reason).into_owned()));
                 }
-                Some(_) | None => {}
+                Ok(Some(_) | None) => {}
+                // The emulator refuses a second client by closing its socket.
+                Err(Error::Lost { board, .. }) => return Err(Error::Busy { board }),
+                Err(error) => return Err(error),
             }
         }
         Err(Error::NotFlexstage {
@@ -83,8 +88,7 @@ impl SocketTransport {
     }
 
     fn lost(&self, reason: String) -> Error {
-        // The emulator serves one client at a time and says so.
-        if reason.contains("another client") || reason.contains("busy") {
+        if reason == ANOTHER_CLIENT {
             return Error::Busy { board: self.name() };
         }
         Error::Lost { board: self.name(), reason }
@@ -112,7 +116,7 @@ impl SocketTransport {
             let wait = timeout.max(Duration::from_millis(1));
             self.stream.set_timeout(wait).map_err(|e| self.lost(e.to_string()))?;
             match self.stream.read(&mut buffer) {
-                Ok(0) => return Err(self.lost("the emulator closed the connection".into())),
+                Ok(0) => return Err(self.lost("the other side closed the connection".into())),
                 Ok(n) => self.pending.extend_from_slice(&buffer[..n]),
                 Err(error) => match error.kind() {
                     io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => return Ok(None),
@@ -126,15 +130,11 @@ impl SocketTransport {
 
 impl Transport for SocketTransport {
     fn name(&self) -> String {
-        format!("the emulated board at {}", self.address)
+        format!("{} at {}", self.what, self.address)
     }
 
     fn send(&mut self, bytes: &[u8]) -> Result<()> {
-        let mut message = Vec::with_capacity(5 + bytes.len());
-        message.extend_from_slice(&(bytes.len() as u32).to_le_bytes());
-        message.push(OUT);
-        message.extend_from_slice(bytes);
-        self.stream.write_all(&message).map_err(|e| self.lost(e.to_string()))
+        wire::write(&mut self.stream, OUT, bytes).map_err(|e| self.lost(e.to_string()))
     }
 
     fn receive(&mut self, timeout: Duration) -> Result<Option<Vec<u8>>> {
@@ -146,5 +146,15 @@ impl Transport for SocketTransport {
             }
             Some(_) | None => Ok(None),
         }
+    }
+}
+
+/// The product string of a greeting.
+fn product(hello: &[u8]) -> String {
+    let hello: serde_json::Value = serde_json::from_slice(hello).unwrap_or_default();
+    match (hello["speed"].as_str(), hello["product"].as_str()) {
+        (Some("emulated"), _) => "the emulated board".to_owned(),
+        (_, Some(product)) => product.to_owned(),
+        _ => "the board".to_owned(),
     }
 }

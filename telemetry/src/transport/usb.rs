@@ -42,9 +42,10 @@ fn is_board(device: &DeviceInfo) -> bool {
 }
 
 fn boards() -> Result<Vec<DeviceInfo>> {
-    let devices = nusb::list_devices().wait().map_err(|error| Error::Lost {
-        board: "USB".into(),
-        reason: format!("the system does not list its USB devices ({error})"),
+    let devices = nusb::list_devices().wait().map_err(|error| {
+        Error::Invalid(format!(
+            "the system does not list its USB devices ({error}): is this a container? --virtual and --connect need no USB"
+        ))
     })?;
     Ok(devices.filter(is_board).collect())
 }

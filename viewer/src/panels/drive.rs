@@ -46,7 +46,7 @@ impl Drive {
         let now = history.last().map(|s| s.reference_um);
         ui.horizontal(|ui| {
             ui.label("step");
-            ui.add(DragValue::new(&mut self.step_um).range(0.001..=10.0).speed(0.01).suffix(" um"));
+            ui.add(DragValue::new(&mut self.step_um).range(0.001..=10.0).speed(0.01).suffix(" µm"));
             ui.label("within");
             ui.add(DragValue::new(&mut self.seconds).range(0.001..=60.0).speed(0.01).suffix(" s"));
         });
@@ -62,7 +62,7 @@ impl Drive {
                     let text = format!("Jog {} {label}", axis + 1);
                     if ui.button(text).clicked() {
                         out = Some((
-                            format!("axis {} to {target:.3} um", axis + 1),
+                            format!("axis {} to {target:.3} µm", axis + 1),
                             go(&[(axis, target)], self.seconds),
                         ));
                     }
@@ -71,18 +71,18 @@ impl Drive {
                     DragValue::new(&mut self.target_um[axis])
                         .range(min..=max)
                         .speed(0.05)
-                        .suffix(" um"),
+                        .suffix(" µm"),
                 );
                 if ui.button(format!("Go {}", axis + 1)).clicked() {
                     let target = self.target_um[axis];
                     out = Some((
-                        format!("axis {} to {target:.3} um", axis + 1),
+                        format!("axis {} to {target:.3} µm", axis + 1),
                         go(&[(axis, target)], self.seconds),
                     ));
                 }
                 if let Some(sample) = history.last() {
                     ui.monospace(format!(
-                        "{:8.3} um {:7.2} V",
+                        "{:8.3} µm {:7.2} V",
                         sample.position_um[axis], sample.drive_v[axis]
                     ));
                 }
@@ -94,9 +94,9 @@ impl Drive {
                     self.target_um.iter().copied().enumerate().collect();
                 out = Some(("all axes to their targets".into(), go(&targets, self.seconds)));
             }
-            if ui.button("All to 0 um").clicked() {
+            if ui.button("All to 0 µm").clicked() {
                 let targets: Vec<(usize, f32)> = (0..AXES).map(|axis| (axis, 0.0)).collect();
-                out = Some(("all axes to 0 um".into(), go(&targets, self.seconds)));
+                out = Some(("all axes to 0 µm".into(), go(&targets, self.seconds)));
             }
         });
         out

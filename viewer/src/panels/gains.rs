@@ -89,7 +89,7 @@ impl Gains {
             ),
         };
         for (name, old, new) in changes.iter().take(4) {
-            ui.label(RichText::new(format!("{name}: {old} -> {new}")).small());
+            ui.label(RichText::new(format!("{name}: {old} -> {new}")));
         }
         ui.horizontal_wrapped(|ui| {
             let can = problem.is_none() && !changes.is_empty();
@@ -127,8 +127,7 @@ impl Gains {
             } else {
                 "what is in effect is not saved: a restart forgets it"
             })
-            .color(if is_stored { GOOD } else { WARN })
-            .small(),
+            .color(if is_stored { GOOD } else { WARN }),
         );
         ui.horizontal(|ui| {
             ui.label("file");
@@ -159,15 +158,15 @@ impl Gains {
         });
         match &self.comparison {
             Some(Err(error)) => {
-                ui.label(RichText::new(error).color(BAD).small());
+                ui.label(RichText::new(error).color(BAD));
             }
             Some(Ok(lines)) if lines.is_empty() => {
-                ui.label(RichText::new("board and file agree").color(GOOD).small());
+                ui.label(RichText::new("board and file agree").color(GOOD));
             }
             Some(Ok(lines)) => {
-                ui.label(RichText::new(format!("{} differ (board, file):", lines.len())).small());
+                ui.label(RichText::new(format!("{} differ (board, file):", lines.len())));
                 for (name, board, file) in lines.iter().take(6) {
-                    ui.label(RichText::new(format!("{name}: {board}, {file}")).small());
+                    ui.label(RichText::new(format!("{name}: {board}, {file}")));
                 }
             }
             None => {}
@@ -195,9 +194,9 @@ fn edit(ui: &mut Ui, settings: &mut Settings, axis: usize) {
     ui.label(RichText::new("feedback").strong());
     Grid::new("feedback").num_columns(2).show(ui, |ui| {
         let f = &mut axis.feedback;
-        number(ui, "proportional", &mut f.proportional_v_per_um, 0.05, "V/um");
-        number(ui, "integral", &mut f.integral_v_per_um_s, 5.0, "V/(um s)");
-        number(ui, "derivative", &mut f.derivative_v_ms_per_um, 0.01, "V ms/um");
+        number(ui, "proportional", &mut f.proportional_v_per_um, 0.05, "V/µm");
+        number(ui, "integral", &mut f.integral_v_per_um_s, 5.0, "V/(µm s)");
+        number(ui, "derivative", &mut f.derivative_v_ms_per_um, 0.01, "V ms/µm");
         number(ui, "derivative filter", &mut f.derivative_filter_hz, 10.0, "Hz");
         number(ui, "setpoint weight", &mut f.setpoint_weight, 0.01, "");
         number(ui, "integral limit", &mut f.integral_limit_v, 0.5, "V");
@@ -219,6 +218,7 @@ fn edit(ui: &mut Ui, settings: &mut Settings, axis: usize) {
             axis.feedback.notches.pop();
         }
     });
+    ui.add_space(6.0);
     ui.label(RichText::new("feedforward").strong());
     Grid::new("feedforward").num_columns(2).show(ui, |ui| {
         let f = &mut axis.feedforward;
@@ -231,16 +231,17 @@ fn edit(ui: &mut Ui, settings: &mut Settings, axis: usize) {
         ui.end_row();
         number(ui, "stiffness of the load", &mut axis.mechanism.stiffness_n_per_m, 1e4, "N/m");
         number(ui, "amplifier time constant", &mut axis.amplifier_time_constant_s, 1e-5, "s");
-        number(ui, "origin", &mut axis.origin_um, 0.01, "um");
+        number(ui, "origin", &mut axis.origin_um, 0.01, "µm");
     });
+    ui.add_space(6.0);
     ui.label(RichText::new("limits").strong());
     Grid::new("limits").num_columns(2).show(ui, |ui| {
         let l = &mut axis.limits;
         number(ui, "lowest drive", &mut l.min_v, 0.5, "V");
         number(ui, "highest drive", &mut l.max_v, 0.5, "V");
         number(ui, "slew", &mut l.slew_v_per_ms, 1.0, "V/ms");
-        number(ui, "lowest position", &mut l.min_um, 0.1, "um");
-        number(ui, "highest position", &mut l.max_um, 0.1, "um");
-        number(ui, "following error", &mut l.following_error_um, 0.05, "um");
+        number(ui, "lowest position", &mut l.min_um, 0.1, "µm");
+        number(ui, "highest position", &mut l.max_um, 0.1, "µm");
+        number(ui, "following error", &mut l.following_error_um, 0.05, "µm");
     });
 }

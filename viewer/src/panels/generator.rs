@@ -123,7 +123,7 @@ impl Generator {
             let [min, max] = limits_um[axis];
             if low < min || high > max {
                 return Some(format!(
-                    "axis {}: {low:.2} to {high:.2} um would be cut to its travel limits {min} to {max} um",
+                    "axis {}: {low:.2} to {high:.2} µm would be cut to its travel limits {min} to {max} µm",
                     axis + 1
                 ));
             }
@@ -155,8 +155,8 @@ impl Generator {
                 ui.add(DragValue::new(value).speed(speed).suffix(suffix).max_decimals(4));
                 ui.end_row();
             };
-            row(ui, "centre", &mut self.center_um, 0.05, " um");
-            row(ui, "amplitude (peak)", &mut self.amplitude_um, 0.05, " um");
+            row(ui, "centre", &mut self.center_um, 0.05, " µm");
+            row(ui, "amplitude (peak)", &mut self.amplitude_um, 0.05, " µm");
             let name = match kind {
                 Kind::Multisine => "base frequency",
                 Kind::Sweep => "from frequency",
@@ -167,7 +167,7 @@ impl Generator {
                 row(ui, "to frequency", &mut self.to_hz, 1.0, " Hz");
             }
             if matches!(kind, Kind::Square | Kind::Staircase) {
-                row(ui, "edge slope", &mut self.slope_um_per_ms, 0.05, " um/ms");
+                row(ui, "edge slope", &mut self.slope_um_per_ms, 0.05, " µm/ms");
             }
             row(ui, "fade in", &mut self.blend_s, 0.01, " s");
             row(ui, "duration (0: for ever)", &mut self.duration_s, 0.1, " s");

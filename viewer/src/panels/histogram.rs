@@ -12,7 +12,10 @@ const BINS: usize = 81;
 /// Most samples that are looked at a frame.
 const SAMPLES: u64 = 400_000;
 
-/// Mean, standard deviation, rms and largest magnitude, all in nm.
+/// Frames between two computations while live.
+const EVERY: u32 = 6;
+
+/// Mean, rms and largest magnitude, all in nm.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ErrorFigures {
     /// Mean, nm.
@@ -39,53 +42,85 @@ pub fn figures(error_um: &[f32]) -> ErrorFigures {
     ErrorFigures { mean_nm: sum / n, rms_nm: (square / n).sqrt(), peak_nm: peak }
 }
 
-/// Histogram of the time on screen.
-pub fn show(ui: &mut Ui, view: &TimeView, axes: [bool; AXES], history: &History) {
-    let to = history.tick_at(view.range_s.1) + 1;
-    let from = history.tick_at(view.range_s.0).max(to.saturating_sub(SAMPLES));
-    let errors: Vec<(usize, Vec<f32>)> = (0..AXES)
-        .filter(|&axis| axes[axis])
-        .map(|axis| (axis, history.slice(Channel::Error, axis, from, to)))
-        .collect();
-    for (axis, error) in &errors {
-        let f = figures(error);
-        ui.label(
-            RichText::new(format!(
-                "axis {}: rms {:.2} nm, mean {:+.2} nm, peak {:.1} nm",
-                axis + 1,
-                f.rms_nm,
-                f.mean_nm,
-                f.peak_nm
-            ))
-            .color(axis_color(*axis, false)),
-        );
+/// One axis as it is drawn.
+struct Shape {
+    axis: usize,
+    figures: ErrorFigures,
+    /// Middle of a bin (nm) and its share of the samples (%).
+    bins: Vec<(f64, f64)>,
+    width_nm: f64,
+}
+
+impl Shape {
+    fn of(axis: usize, error_um: &[f32]) -> Self {
+        let figures = figures(error_um);
+        let peak = figures.peak_nm.max(1e-3);
+        let width_nm = 2.0 * peak / BINS as f64;
+        let mut counts = [0u32; BINS];
+        for e in error_um.iter().filter(|e| e.is_finite()) {
+            let bin = ((f64::from(*e) * 1e3 + peak) / width_nm) as usize;
+            counts[bin.min(BINS - 1)] += 1;
+        }
+        let total = f64::from(counts.iter().sum::<u32>().max(1));
+        let bins = counts
+            .iter()
+            .enumerate()
+            .map(|(i, &n)| (-peak + (i as f64 + 0.5) * width_nm, 100.0 * f64::from(n) / total))
+            .collect();
+        Self { axis, figures, bins, width_nm }
     }
-    Plot::new("error histogram")
-        .legend(Legend::default())
-        .x_axis_label("error (nm)")
-        .y_axis_label("share of samples (%)")
-        .show(ui, |plot| {
-            for (axis, error) in &errors {
-                let peak = figures(error).peak_nm.max(1e-3);
-                let width = 2.0 * peak / BINS as f64;
-                let mut counts = [0u32; BINS];
-                for e in error.iter().filter(|e| e.is_finite()) {
-                    let bin = ((f64::from(*e) * 1e3 + peak) / width) as usize;
-                    counts[bin.min(BINS - 1)] += 1;
+}
+
+/// What the panel remembers between frames.
+#[derive(Default)]
+pub struct Histogram {
+    age: u32,
+    shapes: Vec<Shape>,
+}
+
+impl Histogram {
+    /// Histogram of the time on screen.
+    pub fn show(&mut self, ui: &mut Ui, view: &TimeView, axes: [bool; AXES], history: &History) {
+        if self.age == 0 {
+            let to = history.tick_at(view.range_s.1) + 1;
+            let from = history.tick_at(view.range_s.0).max(to.saturating_sub(SAMPLES));
+            self.shapes = (0..AXES)
+                .filter(|&axis| axes[axis])
+                .map(|axis| Shape::of(axis, &history.slice(Channel::Error, axis, from, to)))
+                .collect();
+        }
+        self.age = (self.age + 1) % EVERY;
+        ui.label("error = reference - position, over the time on screen (at most the last 40 s)");
+        for shape in &self.shapes {
+            let f = shape.figures;
+            ui.label(
+                RichText::new(format!(
+                    "axis {}: rms {:.2} nm, mean {:+.2} nm, peak {:.1} nm",
+                    shape.axis + 1,
+                    f.rms_nm,
+                    f.mean_nm,
+                    f.peak_nm
+                ))
+                .color(axis_color(shape.axis, false)),
+            );
+        }
+        Plot::new("error histogram")
+            .legend(Legend::default())
+            .x_axis_label("error (nm)")
+            .y_axis_label("share of samples (%)")
+            .show(ui, |plot| {
+                for shape in &self.shapes {
+                    let bars = shape
+                        .bins
+                        .iter()
+                        .map(|&(at, share)| Bar::new(at, share).width(shape.width_nm))
+                        .collect();
+                    let color = axis_color(shape.axis, false).gamma_multiply(0.6);
+                    let name = format!("axis {}", shape.axis + 1);
+                    plot.bar_chart(BarChart::new(name, bars).color(color));
                 }
-                let total = f64::from(counts.iter().sum::<u32>().max(1));
-                let bars = counts
-                    .iter()
-                    .enumerate()
-                    .map(|(i, &n)| {
-                        let at = -peak + (i as f64 + 0.5) * width;
-                        Bar::new(at, 100.0 * f64::from(n) / total).width(width)
-                    })
-                    .collect();
-                let color = axis_color(*axis, false).gamma_multiply(0.6);
-                plot.bar_chart(BarChart::new(format!("axis {}", axis + 1), bars).color(color));
-            }
-        });
+            });
+    }
 }
 
 #[cfg(test)]

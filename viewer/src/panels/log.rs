@@ -7,9 +7,10 @@ use crate::link::LogLine;
 
 /// The panel.
 pub fn show(ui: &mut Ui, lines: &[LogLine]) {
+    ui.label(RichText::new("times are UTC").weak());
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
         for line in lines.iter().rev() {
-            let text = RichText::new(&line.text).small();
+            let text = RichText::new(format!("{} {}", line.utc, line.text));
             ui.label(if line.is_error { text.color(BAD) } else { text });
         }
     });

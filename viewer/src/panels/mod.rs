@@ -1,11 +1,15 @@
 //! One panel a file. Each draws from plain data and says what the person asked for; none talks to the board.
 
 pub mod drive;
+pub mod files;
 pub mod gains;
 pub mod generator;
 pub mod histogram;
 pub mod log;
+pub mod log_axis;
+pub mod measure;
 pub mod probe;
+pub mod response;
 pub mod spectrum;
 pub mod status;
 pub mod timing;

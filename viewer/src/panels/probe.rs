@@ -45,9 +45,9 @@ impl Probe {
     }
 
     /// The panel.
-    pub fn show(&mut self, ui: &mut Ui, state: &ProbeState, is_connected: bool) -> Option<Request> {
+    pub fn show(&mut self, ui: &mut Ui, state: &ProbeState, can_start: bool) -> Option<Request> {
         let mut out = None;
-        ui.label("Drives the stage open loop through excitations that tell the effects apart.");
+        ui.label("Drives the stage open loop through excitations that tell the effects apart, then says why it and its model disagree.");
         ComboBox::from_label("length")
             .selected_text(match self.options.length {
                 Length::Quick => "quick",
@@ -80,17 +80,18 @@ impl Probe {
             ui.add(TextEdit::singleline(&mut self.rig).hint_text(hint));
         });
         self.options.axes = (0..AXES).filter(|&axis| self.axes[axis]).collect();
-        let is_busy = matches!(state, ProbeState::Running(_) | ProbeState::Diagnosing);
+        let is_running = matches!(state, ProbeState::Running(_));
+        let is_diagnosing = matches!(state, ProbeState::Diagnosing);
         let experiments = plan(&self.options);
         let seconds: f64 = experiments.iter().map(Experiment::total_s).sum();
         ui.label(format!("{} recordings, {}", experiments.len(), duration(seconds)));
         ui.horizontal(|ui| {
-            let can = is_connected && !is_busy && !self.options.axes.is_empty();
+            let can = can_start && !is_diagnosing && !self.options.axes.is_empty();
             if ui.add_enabled(can, eframe::egui::Button::new("Probe the stage")).clicked() {
                 let rig = self.diagnose.then(|| PathBuf::from(self.rig.trim()));
                 out = Some(Request::Start { options: self.options.clone(), rig });
             }
-            if ui.add_enabled(is_busy, eframe::egui::Button::new("Stop probing")).clicked() {
+            if ui.add_enabled(is_running, eframe::egui::Button::new("Stop probing")).clicked() {
                 out = Some(Request::Stop);
             }
         });
@@ -115,7 +116,7 @@ impl Probe {
             }
             ProbeState::Done { folder, report, verdict } => {
                 ui.label(RichText::new(verdict).color(GOOD).strong());
-                ui.label(RichText::new(folder.display().to_string()).small());
+                ui.label(RichText::new(folder.display().to_string()));
                 if let Some(report) = report
                     && ui.button("Open the report").clicked()
                 {

@@ -5,7 +5,7 @@ use egui_plot::{Legend, Line, Plot};
 use telemetry::measure::psd::{Psd, welch};
 use telemetry::{AXES, Channel, History};
 
-use super::axis_color;
+use super::{axis_color, log_axis};
 use crate::view::TimeView;
 
 /// Most samples that are transformed a time.
@@ -75,31 +75,38 @@ impl Spectrum {
         }
         let is_integrated = self.integrated;
         let label = if is_integrated {
-            format!("log10 rms above f ({unit})")
+            format!("rms above the frequency ({unit})")
         } else {
-            format!("log10 density ({unit}/sqrt Hz)")
+            format!("density ({unit}/√Hz)")
         };
-        Plot::new("spectrum")
+        let plot = Plot::new("spectrum")
             .legend(Legend::default())
-            .x_axis_label("log10 frequency (Hz)")
             .y_axis_label(label)
-            .show(ui, |plot| {
-                for (axis, psd) in &self.spectra {
-                    let values = if is_integrated {
-                        psd.rms_above()
-                    } else {
-                        psd.density.iter().map(|d| d.sqrt()).collect()
-                    };
-                    let points: Vec<[f64; 2]> = psd
-                        .frequency_hz
-                        .iter()
-                        .zip(values)
-                        .filter(|(_, v)| *v > 0.0)
-                        .map(|(f, v)| [f.log10(), (v * factor).log10()])
-                        .collect();
-                    let name = format!("axis {}", axis + 1);
-                    plot.line(Line::new(name, points).color(axis_color(*axis, false)).width(1.2));
-                }
+            .label_formatter(move |at| {
+                let p = match at {
+                    egui_plot::HoverPosition::NearDataPoint { position, .. }
+                    | egui_plot::HoverPosition::Elsewhere { position } => *position,
+                };
+                let (f, v) = (10f64.powf(p.x), 10f64.powf(p.y));
+                Some(format!("{} Hz\n{} {unit}", log_axis::number(f), log_axis::number(v)))
             });
+        log_axis::log_y(log_axis::frequency(plot)).show(ui, |plot| {
+            for (axis, psd) in &self.spectra {
+                let values = if is_integrated {
+                    psd.rms_above()
+                } else {
+                    psd.density.iter().map(|d| d.sqrt()).collect()
+                };
+                let points: Vec<[f64; 2]> = psd
+                    .frequency_hz
+                    .iter()
+                    .zip(values)
+                    .filter(|(_, v)| *v > 0.0)
+                    .map(|(f, v)| [f.log10(), (v * factor).log10()])
+                    .collect();
+                let name = format!("axis {}", axis + 1);
+                plot.line(Line::new(name, points).color(axis_color(*axis, false)).width(1.2));
+            }
+        });
     }
 }

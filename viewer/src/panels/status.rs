@@ -59,7 +59,7 @@ pub fn show(
         ui.separator();
         ui.label(RichText::new("faults so far").strong());
         for line in past.iter().rev().take(5) {
-            ui.label(RichText::new(line).color(BAD).small());
+            ui.label(RichText::new(line).color(BAD));
         }
     }
     ui.separator();
@@ -68,26 +68,23 @@ pub fn show(
             "{} samples, {} ticks lost ({} dropped by the board, {} on the way), {} damaged frames",
             s.samples, s.lost_ticks, s.dropped_by_board, s.lost_in_transit, s.malformed
         );
-        ui.label(RichText::new(text).color(if s.lost_ticks > 0 { WARN } else { GOOD }).small());
+        ui.label(RichText::new(text).color(if s.lost_ticks > 0 { WARN } else { GOOD }));
     }
     if let Some(info) = info {
-        ui.label(
-            RichText::new(format!(
-                "{}\nserial {}\nfirmware {}, {} Hz\nlast restart: {}, {} since power-on",
-                info.name,
-                info.serial,
-                info.firmware,
-                info.sample_rate_hz,
-                info.reset_reason,
-                info.restarts
-            ))
-            .small(),
-        );
+        ui.label(RichText::new(format!(
+            "{}\nserial {}\nfirmware {}, {} Hz\nlast restart: {}, {} since power-on",
+            info.name,
+            info.serial,
+            info.firmware,
+            info.sample_rate_hz,
+            info.reset_reason,
+            info.restarts
+        )));
         if info.self_test != 0 {
             let text = format!("converter self-test failed: bits {:#06x}", info.self_test);
             ui.label(RichText::new(text).color(BAD));
         }
     }
     let megabytes = history.bytes() as f64 / 1e6;
-    ui.label(RichText::new(format!("history in memory: {megabytes:.0} MB")).small());
+    ui.label(RichText::new(format!("history in memory: {megabytes:.0} MB")));
 }

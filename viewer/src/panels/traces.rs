@@ -1,7 +1,7 @@
 //! Live traces: position and reference, error, drive and monitor over sample time, with cursors and lost ticks.
 
-use eframe::egui::{self, Color32, Id, RichText, Ui, Vec2b};
-use egui_plot::{Legend, Line, Plot, PlotPoint, Span, Text, VLine};
+use eframe::egui::{self, Button, Color32, Id, RichText, Ui, Vec2b};
+use egui_plot::{Corner, Legend, Line, Plot, PlotPoint, Span, Text, VLine};
 use telemetry::{AXES, Channel, History};
 
 use super::{BAD, axis_color};
@@ -24,23 +24,48 @@ impl Default for Visible {
     }
 }
 
-/// A row of traces: title, unit factor, channels (the second is drawn dimmed).
+/// A row of traces: title, unit factor, channels in the order in which they are drawn, with their shade.
 struct Row {
     name: &'static str,
     unit: &'static str,
     factor: f64,
-    channels: &'static [Channel],
+    channels: &'static [(Channel, Shade)],
+}
+
+/// How a channel's colour follows from its axis.
+#[derive(Clone, Copy)]
+enum Shade {
+    Plain,
+    Dim,
+    Bright,
+}
+
+impl Shade {
+    fn of(self, axis: usize) -> Color32 {
+        let color = axis_color(axis, false);
+        match self {
+            Shade::Plain => color,
+            Shade::Dim => axis_color(axis, true),
+            Shade::Bright => color.lerp_to_gamma(Color32::WHITE, 0.6),
+        }
+    }
 }
 
 const ROWS: [Row; 3] = [
     Row {
         name: "position",
-        unit: "um",
+        unit: "µm",
         factor: 1.0,
-        channels: &[Channel::Position, Channel::Reference],
+        // The wanted value on top: noise would hide it.
+        channels: &[(Channel::Position, Shade::Plain), (Channel::Reference, Shade::Bright)],
     },
-    Row { name: "error", unit: "nm", factor: 1e3, channels: &[Channel::Error] },
-    Row { name: "drive", unit: "V", factor: 1.0, channels: &[Channel::Drive, Channel::Monitor] },
+    Row { name: "error", unit: "nm", factor: 1e3, channels: &[(Channel::Error, Shade::Plain)] },
+    Row {
+        name: "drive",
+        unit: "V",
+        factor: 1.0,
+        channels: &[(Channel::Monitor, Shade::Dim), (Channel::Drive, Shade::Plain)],
+    },
 ];
 
 /// Toolbar above the traces.
@@ -74,8 +99,16 @@ pub fn toolbar(ui: &mut Ui, view: &mut TimeView, visible: &mut Visible, history:
         }
         ui.separator();
         for (axis, on) in visible.axes.iter_mut().enumerate() {
-            let text = RichText::new(format!("axis {}", axis + 1)).color(axis_color(axis, false));
-            ui.toggle_value(on, text);
+            let text = RichText::new(format!("axis {}", axis + 1));
+            let (ink, ground) = (Color32::BLACK, axis_color(axis, false));
+            let button = if *on {
+                Button::new(text.color(ink)).fill(ground)
+            } else {
+                Button::new(text.color(ground))
+            };
+            if ui.add(button).on_hover_text("Show or hide this axis everywhere").clicked() {
+                *on = !*on;
+            }
         }
         ui.separator();
         for (row, on) in ROWS.iter().zip(&mut visible.rows) {
@@ -126,7 +159,7 @@ fn plot(
     let plot = Plot::new(("traces", row.name))
         .height(height)
         .link_axis(Id::unique("time"), Vec2b::new(true, false))
-        .legend(Legend::default())
+        .legend(Legend::default().position(Corner::LeftTop))
         .y_axis_label(format!("{} ({unit})", row.name))
         .y_axis_min_width(64.0)
         .show_axes([is_last, true])
@@ -160,10 +193,10 @@ fn plot(
                 plot.text(Text::new("lost ticks", at, text).anchor(egui::Align2::LEFT_TOP));
             }
         }
-        for (second, &channel) in row.channels.iter().enumerate() {
+        for &(channel, shade) in row.channels {
             for axis in (0..AXES).filter(|&axis| visible.axes[axis]) {
                 let name = format!("{} {}", channel.name(), axis + 1);
-                let color = axis_color(axis, second > 0);
+                let color = shade.of(axis);
                 for points in envelope(history, channel, axis, ticks, columns, row.factor) {
                     plot.line(Line::new(name.clone(), points).color(color).width(1.2));
                 }
@@ -240,7 +273,7 @@ fn cursor_table(ui: &mut Ui, view: &TimeView, visible: &Visible, history: &Histo
                 .filter(|(_, axis)| visible.axes[*axis])
                 .collect();
             for (channel, axis) in &traces {
-                let text = format!("{} {} ({})", channel.name(), axis + 1, channel.unit());
+                let text = format!("{} {} ({})", channel.name(), axis + 1, unit(*channel));
                 ui.label(RichText::new(text).color(axis_color(*axis, false)).small());
             }
             ui.end_row();
@@ -266,4 +299,9 @@ fn cursor_table(ui: &mut Ui, view: &TimeView, visible: &Visible, history: &Histo
             }
         });
     });
+}
+
+/// Unit of a channel as this window writes it.
+fn unit(channel: Channel) -> &'static str {
+    if channel.unit() == "um" { "µm" } else { channel.unit() }
 }

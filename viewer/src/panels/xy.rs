@@ -13,19 +13,18 @@ const POINTS: u64 = 8000;
 /// The loop over the time on screen.
 pub fn show(ui: &mut Ui, view: &TimeView, axes: [bool; AXES], history: &History) {
     let (from, to) = (history.tick_at(view.range_s.0), history.tick_at(view.range_s.1) + 1);
-    let stride = ((to - from) / POINTS).max(1) as usize;
+    let stride = ((to - from) / POINTS).max(1);
     Plot::new("xy")
         .legend(Legend::default())
         .x_axis_label("drive (V)")
-        .y_axis_label("position (um)")
+        .y_axis_label("position (µm)")
         .show(ui, |plot| {
             for axis in (0..AXES).filter(|&axis| axes[axis]) {
-                let x = history.slice(Channel::Drive, axis, from, to);
-                let y = history.slice(Channel::Position, axis, from, to);
+                let x = history.every(Channel::Drive, axis, (from, to), stride);
+                let y = history.every(Channel::Position, axis, (from, to), stride);
                 let points: Vec<[f64; 2]> = x
                     .iter()
                     .zip(&y)
-                    .step_by(stride)
                     .filter(|(x, y)| x.is_finite() && y.is_finite())
                     .map(|(&x, &y)| [f64::from(x), f64::from(y)])
                     .collect();

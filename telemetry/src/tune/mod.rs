@@ -8,13 +8,15 @@
 
 use std::f64::consts::TAU;
 
-use flexstage::settings::{FeedbackSettings, NotchSettings};
+use flexstage::settings::{AxisSettings, FeedbackSettings, NotchSettings};
 use flexstage::{Settings, TICK_HZ};
 use num_complex::Complex64;
 use serde::Serialize;
 
 use crate::measure::margins::{Margins, margins};
 use crate::measure::{Frf, FrfPoint};
+
+pub mod study;
 
 /// Smallest distance of the loop gain from -1 that a proposal may have: 0.6 bounds the sensitivity peak at 1.67, which
 /// implies at least 35 degrees and 8 dB (K. J. Astrom, R. M. Murray, "Feedback Systems", section 10.3).
@@ -53,6 +55,63 @@ fn notch_response(notch: &NotchSettings, back: Complex64) -> Complex64 {
     let zeros = middle + (1.0 + depth * alpha) + square * (1.0 - depth * alpha);
     let poles = middle + (1.0 + alpha) + square * (1.0 - alpha);
     zeros / poles
+}
+
+/// The controller's last act: codes computed in a tick are latched by the next one.
+pub fn latch(frequency_hz: f64) -> Complex64 {
+    Complex64::from_polar(1.0, -TAU * frequency_hz / f64::from(TICK_HZ))
+}
+
+/// Reference (um) to drive (V) of the same feedback: the derivative takes only its share of the setpoint, and the reference waits for the
+/// sensor.
+pub fn setpoint_response(feedback: &FeedbackSettings, frequency_hz: f64) -> Complex64 {
+    let weighted = FeedbackSettings {
+        derivative_v_ms_per_um: feedback.derivative_v_ms_per_um * feedback.setpoint_weight,
+        ..feedback.clone()
+    };
+    let delay = TAU * frequency_hz * f64::from(feedback.sensor_delay_s);
+    controller_response(&weighted, frequency_hz) * Complex64::from_polar(1.0, -delay)
+}
+
+/// What the feedforward's amplifier lead multiplies the drive by.
+fn lead_response(axis: &AxisSettings, frequency_hz: f64) -> Complex64 {
+    let rate = f64::from(TICK_HZ);
+    if !axis.feedforward.amplifier_lead {
+        return Complex64::new(1.0, 0.0);
+    }
+    let change = 1.0 - Complex64::from_polar(1.0, -TAU * frequency_hz / rate);
+    1.0 + change * f64::from(axis.amplifier_time_constant_s) * rate
+}
+
+/// Reference to position with new settings, from what was measured with the old ones.
+///
+/// With position y, reference r, plant P (from the drive as it is held, with the latch before it), feedforward F and feedback C (C' as
+/// the reference sees it), y = P (F r + C' r - C y). The measured closed loop T = (P F + P C') / (1 + P C) gives P F without a model of the hysteresis in it; new feedback and lead go in
+/// by the same equation. Only where both were measured with coherence.
+pub fn predict_closed_loop(
+    plant: &Frf,
+    closed: &Frf,
+    old: &AxisSettings,
+    new: &AxisSettings,
+) -> Frf {
+    let points = closed
+        .points
+        .iter()
+        .filter_map(|t| {
+            let near =
+                |p: &&FrfPoint| (p.frequency_hz - t.frequency_hz).abs() < 1e-3 * t.frequency_hz;
+            let p = plant.points.iter().find(near)?;
+            let f = t.frequency_hz;
+            let plant = p.response * latch(f);
+            let forward = t.response * (1.0 + plant * controller_response(&old.feedback, f))
+                - plant * setpoint_response(&old.feedback, f);
+            let forward = forward * lead_response(new, f) / lead_response(old, f);
+            let response = (forward + plant * setpoint_response(&new.feedback, f))
+                / (1.0 + plant * controller_response(&new.feedback, f));
+            Some(FrfPoint { response, coherence: t.coherence.min(p.coherence), ..*t })
+        })
+        .collect();
+    Frf { points }
 }
 
 /// First-order lag with delay fitted to a response.
@@ -121,6 +180,11 @@ pub struct LoopFigures {
     pub margins: Margins,
     /// Mean magnitude of the sensitivity up to 100 Hz: the part of a disturbance that is left.
     pub left_of_disturbance: f64,
+    /// Loop gain at the highest frequency measured.
+    pub gain_at_end: f64,
+    /// Whether the loop is stable as far as it was measured, and in the simple way: the phase stays above -180 degrees while the gain is
+    /// above a half, and the gain has fallen below a half before the data end.
+    pub is_stable: bool,
 }
 
 /// A proposal for one axis.
@@ -138,8 +202,13 @@ pub struct Proposal {
     pub changes: Vec<String>,
 }
 
+/// Loop gain of a measured plant (held drive to position) with a feedback.
+pub fn loop_gain(plant: &Frf, feedback: &FeedbackSettings) -> Frf {
+    plant.map(|f| controller_response(feedback, f) * latch(f))
+}
+
 fn figures(plant: &Frf, feedback: &FeedbackSettings) -> LoopFigures {
-    let loop_gain = plant.map(|f| controller_response(feedback, f));
+    let loop_gain = loop_gain(plant, feedback);
     let low: Vec<f64> = loop_gain
         .points
         .iter()
@@ -147,13 +216,25 @@ fn figures(plant: &Frf, feedback: &FeedbackSettings) -> LoopFigures {
         .map(|p| 1.0 / (1.0 + p.response).norm())
         .collect();
     let left = low.iter().sum::<f64>() / low.len().max(1) as f64;
-    LoopFigures { margins: margins(&loop_gain), left_of_disturbance: left }
+    let gain_at_end = loop_gain.points.last().map_or(f64::INFINITY, |p| p.response.norm());
+    let phase = loop_gain.phase_deg();
+    let leads = loop_gain
+        .points
+        .iter()
+        .zip(phase)
+        .all(|(p, phase)| p.response.norm() < 0.5 || phase > -180.0);
+    LoopFigures {
+        margins: margins(&loop_gain),
+        left_of_disturbance: left,
+        gain_at_end,
+        is_stable: leads && gain_at_end < 0.5,
+    }
 }
 
-/// Whether a closed loop with a stable plant is stable, judged by the margins: the gain is below 1 wherever the phase
-/// passes -180 degrees, and the loop keeps its distance.
+/// Whether a closed loop with a stable plant is stable and keeps its distance from instability.
 fn is_safe(figures: &LoopFigures) -> bool {
-    figures.margins.modulus_margin.is_some_and(|m| m >= MODULUS_MARGIN)
+    figures.is_stable
+        && figures.margins.modulus_margin.is_some_and(|m| m >= MODULUS_MARGIN)
         && figures.margins.phase_margin_deg.is_none_or(|m| m > 35.0)
         && figures.margins.gain_margin_db.is_none_or(|m| m > 6.0)
 }
@@ -163,6 +244,16 @@ pub fn propose(plant: &Frf, settings: &Settings, axis: usize) -> Option<Proposal
     let plant = plant.coherent(0.8);
     let fit = fit_plant(&plant)?;
     let before = settings.axes[axis].feedback.clone();
+    // The gain for small motion, in which all slip elements stick, is the lowest that the stage has; on a long stroke they slip and
+    // leave T / (k_p + k). The margins have to hold for both.
+    let model_gain = {
+        let a = &settings.axes[axis];
+        f64::from(a.stack.transformer_n_per_v)
+            / f64::from(a.stack.stiffness_n_per_m + a.mechanism.stiffness_n_per_m)
+            * 1e6
+    };
+    let growth = (model_gain / fit.gain_um_per_v).clamp(1.0, 2.0);
+    let strong = plant.map(|_| Complex64::new(growth, 0.0));
     let mut base = before.clone();
     base.notches.clear();
     if let Some((frequency_hz, _)) = plant.resonance() {
@@ -189,7 +280,7 @@ pub fn propose(plant: &Frf, settings: &Settings, axis: usize) -> Option<Proposal
                 let is_better = best
                     .as_ref()
                     .is_none_or(|(b, _)| figures.left_of_disturbance < b.left_of_disturbance);
-                if is_better && is_safe(&figures) {
+                if is_better && is_safe(&figures) && is_safe(&self::figures(&strong, &trial)) {
                     best = Some((figures, trial));
                 }
             }
@@ -288,6 +379,20 @@ mod tests {
         assert!((fit.gain_um_per_v - 0.133).abs() < 0.001, "{fit:?}");
         assert!((fit.time_constant_s - 4e-4).abs() < 2e-5, "{fit:?}");
         assert!((fit.delay_s - 1.5e-4).abs() < 1e-5, "{fit:?}");
+    }
+
+    #[test]
+    fn a_gain_that_does_not_fall_in_the_band_is_not_safe() {
+        // 1 kHz of data: whatever crosses 0 dB above it is unknown, and a delay makes it unstable.
+        let mut plant = lag(0.133, 1e-5, 1.5e-4);
+        plant.points.retain(|p| p.frequency_hz < 1000.0);
+        let feedback =
+            FeedbackSettings { proportional_v_per_um: 20.0, ..FeedbackSettings::default() };
+        let found = figures(&plant, &feedback);
+        assert!(found.margins.crossover_hz.is_none() && !is_safe(&found), "{found:?}");
+        // Here the data show it: past -180 degrees at a gain above 1, whatever the margins read.
+        let found = figures(&lag(0.133, 4e-4, 4e-4), &feedback);
+        assert!(!found.is_stable && !is_safe(&found), "{found:?}");
     }
 
     #[test]

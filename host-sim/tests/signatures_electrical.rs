@@ -1,0 +1,129 @@
+//! Signatures of the effects of drive, amplifier and sensor: what their descriptions claim, from closed forms.
+
+mod common;
+
+use std::f64::consts::TAU;
+
+use common::{one_axis, rms, run, run_from, set, single, triangle, worst};
+use host_sim::{Output, Place};
+
+#[test]
+fn drive_gain_and_offset_show_in_the_monitor() {
+    let plain = run(&one_axis(), 1e4, 0.5, triangle(80.0, 4.0));
+    let scaled = run(&single("drive-gain", &[("ratio", 1.02)]), 1e4, 0.5, triangle(80.0, 4.0));
+    let shifted = run(&single("drive-offset", &[("offset_v", 0.5)]), 1e4, 0.5, triangle(80.0, 4.0));
+    for i in 0..5000 {
+        assert!((scaled.monitor_v[0][i] - 1.02 * plain.monitor_v[0][i]).abs() < 1e-9);
+        assert!((shifted.monitor_v[0][i] - 0.5 - plain.monitor_v[0][i]).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn drive_delay_is_exact_in_whole_and_broken_ticks() {
+    let drive = |t: f64| 40.0 + 30.0 * (TAU * 60.0 * t).sin();
+    let plain = run(&one_axis(), 1e4, 0.2, drive).monitor_v.remove(0);
+    let whole = run(&single("drive-delay", &[("delay_s", 3e-4)]), 1e4, 0.2, drive);
+    assert!(worst(&whole.monitor_v[0][500..], &plain[497..1997]) < 1e-9);
+    // Half a tick late at 10 kHz is one tick late at 20 kHz with the same held voltages.
+    let held = |t: f64| drive(((t + 1e-9) * 1e4).floor() / 1e4);
+    let half = run(&single("drive-delay", &[("delay_s", 5e-5)]), 1e4, 0.2, held);
+    let fine = run(&single("drive-delay", &[("delay_s", 5e-5)]), 2e4, 0.2, held);
+    let every: Vec<f64> = fine.monitor_v[0].iter().step_by(2).copied().collect();
+    assert!(worst(&half.monitor_v[0], &every) < 1e-9);
+    let every: Vec<f64> = fine.position_m[0].iter().step_by(2).copied().collect();
+    // The voltages agree to rounding; what is left is the shape of the force inside a tick, and that has to stay below a
+    // tenth of the gauge's 4 nm.
+    let difference = rms(&half.position_m[0], &every);
+    assert!(difference < 0.4e-9, "{:.3} nm", difference * 1e9);
+}
+
+#[test]
+fn crosstalk_of_the_drive_reaches_the_monitor_of_the_sensor_only_the_reading() {
+    let alone = |axis: usize, t: f64| if axis == 2 { triangle(90.0, 4.0)(t) } else { 0.0 };
+    let pair = Place::Pair { on: 1, from: 2 };
+    let drive = run_from(&set("drive-crosstalk", pair, &[("share", 0.01)]), 1e4, 0.0, 0.5, alone);
+    for (here, there) in drive.monitor_v[1].iter().zip(&drive.monitor_v[2]) {
+        assert!((here - 0.01 * there).abs() < 1e-12);
+    }
+    let sensor = run_from(&set("sensor-crosstalk", pair, &[("share", 0.01)]), 1e4, 0.0, 0.5, alone);
+    assert!(sensor.monitor_v[1].iter().all(|v| *v == 0.0));
+    for (here, there) in sensor.position_m[1].iter().zip(&sensor.position_m[2]) {
+        assert!((here - 0.01 * there).abs() < 1e-18);
+    }
+}
+
+#[test]
+fn amplifier_bandwidth_scales_the_time_constant() {
+    let rig = single("amplifier-bandwidth", &[("ratio", 2.0)]);
+    let v = run(&rig, 1e4, 0.1, |t| if t < 0.05 { 0.0 } else { 10.0 }).monitor_v.remove(0);
+    assert!((v[508] - 10.0 * (1.0 - (-1.0f64).exp())).abs() < 1e-9);
+}
+
+#[test]
+fn current_limit_makes_ramps_of_current_over_capacitance() {
+    let rig = single("amplifier-current-limit", &[("current_a", 0.2)]);
+    let step = |height: f64| {
+        run(&rig, 1e4, 0.1, move |t| if t < 0.05 { 0.0 } else { height }).monitor_v.remove(0)
+    };
+    let large = step(100.0);
+    // Small-signal capacitance of the nominal stack in the mechanism.
+    let free = 1.063e-6 + 7.10f64.powi(2) / 53.4e6;
+    let load = 1.0 / (1.0 / free + 8.0 / 33.6e-6);
+    for i in 500..502 {
+        let slope = (large[i + 1] - large[i]) * 1e4;
+        assert!((slope - 0.2 / load).abs() < 1e-6 * slope, "{slope} V/s");
+    }
+    let plain = run(&one_axis(), 1e4, 0.1, |t| if t < 0.05 { 0.0 } else { 10.0 });
+    assert!(worst(&step(10.0), &plain.monitor_v[0]) < 1e-12, "small steps stay exponential");
+}
+
+#[test]
+fn clipping_stands_at_one_voltage() {
+    let rig = single("amplifier-clipping", &[("max_v", 70.0), ("softness_v", 0.01)]);
+    let output = run(&rig, 1e4, 1.0, triangle(90.0, 2.0));
+    let top = output.monitor_v[0].iter().copied().fold(0.0, f64::max);
+    assert!((top - 70.0).abs() < 0.02);
+    let plain = run(&one_axis(), 1e4, 0.15, triangle(90.0, 2.0));
+    assert!(worst(&output.monitor_v[0][..1500], &plain.monitor_v[0]) < 1e-6);
+}
+
+#[test]
+fn hum_follows_the_clock_of_the_session() {
+    for (name, amplitude) in [("amplifier-hum", 0.5), ("sensor-hum", 2e-8)] {
+        let unit = if name == "sensor-hum" { "m" } else { "v" };
+        let rig = single(name, &[(&format!("cos_{unit}"), amplitude), ("frequency_hz", 60.0)]);
+        let still = |_, _| 0.0;
+        let early = run_from(&rig, 1e4, 0.0, 0.5, still);
+        let late = run_from(&rig, 1e4, 100.0 + 0.5 / 60.0, 0.5, still);
+        let signal =
+            |o: &Output| if unit == "m" { o.position_m[0][300] } else { o.monitor_v[0][300] };
+        let expected = amplitude * (TAU * 60.0 * 0.03).cos();
+        assert!((signal(&early) - expected).abs() < 1e-9 * amplitude, "{name}");
+        assert!((signal(&late) + expected).abs() < 1e-9 * amplitude, "{name}");
+    }
+    // Hum of the amplifier moves the stack, with hysteresis; hum of the sensor does not.
+    let rig = single("amplifier-hum", &[("sin_v", 1.0)]);
+    assert!(run(&rig, 1e4, 0.1, |_| 40.0).position_m[0][550..].iter().any(|x| *x > 3e-6));
+}
+
+#[test]
+fn sensor_effects_act_on_the_reading() {
+    let x = run(&one_axis(), 1e4, 0.5, triangle(80.0, 4.0)).position_m.remove(0);
+    let read = |name, values: &[(&str, f64)]| {
+        run(&single(name, values), 1e4, 0.5, triangle(80.0, 4.0)).position_m.remove(0)
+    };
+    let scaled: Vec<f64> = x.iter().map(|x| 1.01 * x).collect();
+    assert!(worst(&read("sensor-gain", &[("ratio", 1.01)]), &scaled) < 1e-18);
+    let shifted: Vec<f64> = x.iter().map(|x| x + 3e-8).collect();
+    assert!(worst(&read("sensor-offset", &[("offset_m", 3e-8)]), &shifted) < 1e-18);
+    let bent: Vec<f64> = x.iter().map(|x| x + 1e3 * x * x - 2e8 * x * x * x).collect();
+    let values = [("quadratic_per_m", 1e3), ("cubic_per_m2", -2e8)];
+    assert!(worst(&read("sensor-nonlinearity", &values), &bent) < 1e-18);
+    // On a ramp a low-pass lags by its time constant.
+    let slow = read("sensor-bandwidth", &[("time_constant_s", 3e-4)]);
+    let lag = (x[1000] - slow[1000]) / (x[1001] - x[1000]) * 1e-4;
+    assert!((lag - 3e-4).abs() < 2e-5, "{lag}");
+    let values = [("rate_m_per_s", 1e-9), ("settling_m", 5e-8), ("settling_s", 60.0)];
+    let drift = run_from(&single("sensor-drift", &values), 1e3, 600.0, 1.0, |_, _| 0.0);
+    assert!((drift.position_m[0][500] - 600.5e-9 - 5e-8).abs() < 1e-11);
+}

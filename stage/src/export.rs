@@ -1,0 +1,33 @@
+//! `flexstage export`: a recording as CSV, or a CSV as Parquet.
+
+use std::path::PathBuf;
+
+use recording::Recording;
+
+/// Options of `flexstage export`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Recording to read (Parquet or CSV).
+    from: PathBuf,
+    /// File to write (.csv or .parquet); never overwritten.
+    to: PathBuf,
+    /// Sample rate of a CSV that does not carry it, Hz.
+    #[arg(long)]
+    sample_rate: Option<f64>,
+}
+
+/// Run the command.
+pub fn run(args: Args) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        !args.to.exists(),
+        "{}: expected a new file, found one: it is not overwritten",
+        args.to.display()
+    );
+    let recording = match args.sample_rate {
+        Some(rate) => Recording::read_csv(&args.from, rate)?,
+        None => Recording::read(&args.from)?,
+    };
+    recording.write(&args.to)?;
+    println!("{}: {} samples", args.to.display(), recording.len());
+    Ok(())
+}
