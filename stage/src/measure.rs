@@ -84,7 +84,7 @@ enum ExcitationArg {
     /// Random-phase multisine: lines every 9.8 Hz to 2.5 kHz.
     #[default]
     Multisine,
-    /// Swept sine up and down, 4 Hz to 2 kHz.
+    /// Swept sine, twice, 4 Hz to 2 kHz.
     Sweep,
 }
 

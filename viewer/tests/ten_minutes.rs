@@ -41,8 +41,20 @@ fn resident_mb() -> f64 {
     0.0
 }
 
+/// Processor time of this thread, ms: what else the machine does is not in it.
+#[cfg(target_os = "linux")]
+fn cpu_ms() -> f64 {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap();
+    text.split_whitespace().next().unwrap().parse::<f64>().unwrap() / 1e6
+}
+
+#[cfg(not(target_os = "linux"))]
+fn cpu_ms() -> f64 {
+    static START: std::sync::OnceLock<Instant> = std::sync::OnceLock::new();
+    START.get_or_init(Instant::now).elapsed().as_secs_f64() * 1e3
+}
+
 #[test]
-#[ignore = "not yet seen to run to its end: run with --ignored"]
 fn sixty_pictures_a_second_in_bounded_memory() {
     // Nobody answers there, so the samples are those that are put in here.
     let source = Source::Board(Target::Socket("127.0.0.1:1".into()));
@@ -84,12 +96,12 @@ fn sixty_pictures_a_second_in_bounded_memory() {
             .map(|_| {
                 // What arrives in a sixtieth of a second.
                 fill(&harness, RATE / 60);
-                let started = Instant::now();
+                let started = cpu_ms();
                 harness.step();
                 let shapes = harness.output().shapes.clone();
                 let triangles = harness.ctx.tessellate(shapes, 1.0);
                 assert!(!triangles.is_empty());
-                started.elapsed().as_secs_f64() * 1e3
+                cpu_ms() - started
             })
             .collect();
         times.sort_by(f64::total_cmp);

@@ -4,7 +4,7 @@ use anyhow::Result;
 use unicorn_engine::unicorn_const::{HookType, MemType};
 use unicorn_engine::{RegisterARM as R, Unicorn};
 
-use super::exception::{get, set};
+use super::exception::get;
 use super::image::{FLASH, Image, is_wide};
 use super::memory::Memory;
 use super::{CCM, CCM_BYTES, Core, Machine, SRAM, SYSTEM_MEMORY, Stop, uc};
@@ -24,32 +24,6 @@ impl Lengths {
         for r in &mut self.regions[1..] {
             r.2.fill(0);
         }
-    }
-
-    /// Whether the instruction at `address` is covered by an IT instruction before it. (The second half of a wide instruction
-    /// can look like one; that takes a stale state at just this place to do harm.)
-    fn is_within_it(&self, address: u32) -> bool {
-        let found = self
-            .regions
-            .iter()
-            .find(|(base, memory, _)| (address.wrapping_sub(*base) as usize) < memory.len());
-        let Some((base, memory, _)) = found else { return false };
-        let end = (address - base) as usize;
-        (1..=8).filter_map(|back| end.checked_sub(2 * back)).any(|it| {
-            let op = memory.u16(it);
-            if op & 0xff00 != 0xbf00 || op & 0xf == 0 {
-                return false;
-            }
-            let covered = 4 - (op & 0xf).trailing_zeros();
-            let mut at = it + 2;
-            for _ in 0..covered {
-                if at == end {
-                    return true;
-                }
-                at += if at + 2 <= memory.len() && is_wide(memory.u16(at)) { 4 } else { 2 };
-            }
-            false
-        })
     }
 
     #[inline]
@@ -77,12 +51,6 @@ impl Lengths {
 impl Machine {
     pub(super) fn add_hooks(u: &mut Unicorn<'static, Core>, image: &Image) -> Result<()> {
         let block = |u: &mut Unicorn<'_, Core>, address: u64, size: u32| {
-            if u.get_data().stale_it && clear_stale_it(u, address as u32) {
-                // This block was translated as if it began within an IT block: it is looked up again.
-                u.get_data_mut().stop = Stop::Attention;
-                let _ = u.emu_stop();
-                return;
-            }
             let core = u.get_data_mut();
             let soc = &mut core.soc;
             if soc.now >= soc.deadline {
@@ -152,24 +120,6 @@ impl Machine {
         }
         Ok(())
     }
-}
-
-/// Clears an ITSTATE that does not belong to `address`; whether there was one.
-///
-/// When an access misses the TLB, unicorn brings the CPU state up to that instruction, ITSTATE included, and goes on without ever
-/// clearing it again, because translated code knows its own. Whatever looks at the state next (a lookup of a block after a
-/// return, an exception frame) then believes itself within an IT block: instructions are skipped, branches are undefined.
-pub(super) fn clear_stale_it(u: &mut Unicorn<'_, Core>, address: u32) -> bool {
-    if !std::mem::take(&mut u.get_data_mut().stale_it) {
-        return false;
-    }
-    // ITSTATE is XPSR bits 26:25 and 15:10.
-    let is_set = get(u, R::XPSR) & 0x0600_fc00 != 0;
-    if !is_set || u.get_data().lengths.is_within_it(address) {
-        return false;
-    }
-    set(u, R::EPSR, 1 << 24);
-    true
 }
 
 /// The exception to take now, with PRIMASK, FAULTMASK and BASEPRI.

@@ -1,14 +1,10 @@
 //! The memory map (RM0440 2.2): what lies where, and who answers.
 
-use std::rc::Rc;
-
 use anyhow::Result;
 use unicorn_engine::Unicorn;
-use unicorn_engine::unicorn_const::{MemType, Prot, TlbEntry, TlbType};
 
-use super::image::Image;
 use super::memory::Memory;
-use super::{CCM, CCM_BYTES, Core, Machine, SRAM, SYSTEM_MEMORY, uc};
+use super::{Core, Machine, SYSTEM_MEMORY, uc};
 use crate::periph::{Soc, flash};
 
 impl Machine {
@@ -57,22 +53,5 @@ impl Machine {
             "map bank 2",
             u.mmio_map(flash::BANK2 as u64, flash::BANK2_BYTES as u64, Some(read), Some(write)),
         )
-    }
-
-    /// Address translation: every address is itself. Its point is that pages without code are not executable: unicorn
-    /// sends every store to a page that may hold code the slow way.
-    pub(super) fn add_tlb(u: &mut Unicorn<'static, Core>, image: &Rc<Image>) -> Result<()> {
-        uc("tlb type", u.ctl_set_tlb_type(TlbType::VIRTUAL))?;
-        let image = image.clone();
-        let translate = move |u: &mut Unicorn<'_, Core>, at: u64, _: MemType| {
-            u.get_data_mut().stale_it = true;
-            let ram = (CCM as u64..CCM as u64 + CCM_BYTES as u64).contains(&at)
-                || (SRAM as u64..0x2002_0000).contains(&at);
-            let data = ram && !image.runs_code(at as u32, 4096);
-            let perms = if data { Prot(Prot::READ.0 | Prot::WRITE.0) } else { Prot::ALL };
-            Some(TlbEntry { paddr: at, perms })
-        };
-        uc("tlb hook", u.add_tlb_hook(0, u64::MAX, translate))?;
-        Ok(())
     }
 }

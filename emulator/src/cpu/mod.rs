@@ -25,7 +25,7 @@ use crate::periph::{Analog, ResetCause, Soc};
 use crate::rtt::Rtt;
 use crate::time::{MILLISECOND, NEVER, Time};
 use exception::{get, set};
-use hooks::{Lengths, clear_stale_it, due};
+use hooks::{Lengths, due};
 use image::{FLASH, Image};
 use memory::Memory;
 use profile::Profile;
@@ -78,8 +78,6 @@ pub struct Core {
     stop: Stop,
     lengths: Lengths,
     bad_address: Option<u32>,
-    /// ITSTATE may be left over: see [`hooks::clear_stale_it`].
-    stale_it: bool,
 }
 
 /// A powered board: chip, plant and host.
@@ -121,7 +119,6 @@ impl Machine {
             stop: Stop::Attention,
             lengths: Lengths::new(&flash, &ccm, &sram),
             bad_address: None,
-            stale_it: false,
         };
         // Mode::MCLASS would make it a Cortex-M33, whatever the model.
         let mut u = uc("create", Unicorn::new_with_data(Arch::ARM, Mode::THUMB, core))?;
@@ -143,7 +140,8 @@ impl Machine {
         map(SRAM + SRAM_BYTES as u32, &ccm, 0, CCM_BYTES, read_write)?;
         map(SRAM, &sram, 0, SRAM_BYTES, Prot::ALL)?;
         map(CCM, &ccm, 0, CCM_BYTES, Prot::ALL)?;
-        Self::add_tlb(&mut u, &image)?;
+        // No TLB hook, though it would make stores to RAM cheaper: when an access within an IT block misses that TLB, unicorn restores ITSTATE
+        // and never clears it, and later instructions are skipped or undefined.
         Self::map_registers(&mut u)?;
         Self::add_hooks(&mut u, &image)?;
         let rtt = Rtt::new(&image)?;
@@ -311,8 +309,6 @@ impl Machine {
             self.stops += 1;
             // `until` 0 is never reached and costs no invalidation.
             let ended = self.uc.emu_start(pc as u64 | 1, 0, 0, 0);
-            let pc = get(&self.uc, R::PC) & !1;
-            clear_stale_it(&mut self.uc, pc);
             if let Err(error) = ended {
                 self.fault(error)?;
                 continue;

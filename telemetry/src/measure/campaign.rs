@@ -44,7 +44,7 @@ pub enum Excitation {
     /// Random-phase multisine, lines every 9.8 Hz to 2.5 kHz: exact, no leakage; coherence from the scatter of 40 periods.
     #[default]
     Multisine,
-    /// Swept sine up and down, 4 Hz to 2 kHz: lower frequencies and more amplitude at each; coherence by averaged spectra.
+    /// Swept sine, twice, 4 Hz to 2 kHz: lower frequencies and more amplitude at each; coherence by averaged spectra.
     Sweep,
 }
 
@@ -115,9 +115,10 @@ fn sweep(name: &str, center: f64, amplitude: f64, axis: usize) -> Experiment {
         phases: vec![
             Phase { at_s: 0.0, moves: vec![(axis, ramp)] },
             Phase { at_s: 0.25, moves: vec![(axis, sweep(low, high))] },
-            Phase { at_s: 0.3 + SWEEP_S, moves: vec![(axis, sweep(high, low))] },
+            // Up again, from rest: begun at its high end it would overshoot by tens of volts.
+            Phase { at_s: 0.7 + SWEEP_S, moves: vec![(axis, sweep(low, high))] },
         ],
-        duration_s: 0.4 + 2.0 * SWEEP_S,
+        duration_s: 0.9 + 2.0 * SWEEP_S,
         period_s: None,
         table: None,
     }

@@ -8,7 +8,7 @@ use super::axis_color;
 use crate::view::TimeView;
 
 /// Most points of a loop: drawing a closed curve needs no extremes.
-const POINTS: u64 = 8000;
+const POINTS: u64 = 2000;
 
 /// The loop over the time on screen.
 pub fn show(ui: &mut Ui, view: &TimeView, axes: [bool; AXES], history: &History) {
