@@ -57,6 +57,14 @@ pub struct Band {
     pub floor_nm: f64,
 }
 
+impl Band {
+    /// `1 - (after^2 - floor^2) / (before^2 - floor^2)`.
+    pub fn closed(&self) -> f64 {
+        let floor = self.floor_nm.powi(2);
+        1.0 - (self.after_nm.powi(2) - floor) / (self.before_nm.powi(2) - floor)
+    }
+}
+
 /// Root-mean-square gap over axes and samples after settling, held-out recordings only.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Gap {

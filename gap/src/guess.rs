@@ -119,6 +119,9 @@ pub fn spectrum(row: &[f32], rate_hz: f64) -> (f64, Vec<f64>) {
     (rate_hz / n as f64, output.iter().map(|c| c.norm_sqr() * scale).collect())
 }
 
+/// Slowest hum, Hz: mains and supplies are faster, and what stands out below is a harmonic of a slow drive, a nonlinearity.
+const SLOWEST_HUM_HZ: f64 = 20.0;
+
 /// Lines that stand out of their neighbourhood, summed over recordings on a grid of half a hertz.
 fn lines(scene: &Scene, raw: &Stack, kind: Kind) -> Vec<f64> {
     let mut found: Vec<(f64, f64)> = Vec::new();
@@ -128,7 +131,8 @@ fn lines(scene: &Scene, raw: &Stack, kind: Kind) -> Vec<f64> {
         };
         let rate = scene.tracks[channel.track].rate_hz;
         let (step, power) = spectrum(row, rate);
-        for k in 4..power.len().saturating_sub(40) {
+        let first = ((SLOWEST_HUM_HZ / step) as usize).max(4);
+        for k in first..power.len().saturating_sub(40) {
             if power[k] < power[k - 1] || power[k] < power[k + 1] {
                 continue;
             }
@@ -337,7 +341,7 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
                 ("cos_v", "sin_v", &ranges.monitor_lines_hz)
             };
             let lines = if lines.is_empty() { &ranges.lines_hz } else { lines };
-            for &hz in lines {
+            for &hz in lines.iter().filter(|hz| **hz >= SLOWEST_HUM_HZ) {
                 wanted.push(with(&[(cos, typical(cos)), ("frequency_hz", hz)]));
                 wanted.push(with(&[(sin, typical(sin)), ("frequency_hz", hz)]));
             }

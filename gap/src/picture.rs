@@ -276,12 +276,19 @@ fn causes(page: Report, f: &Findings) -> Report {
             CauseKind::Parametric => "a wrong value",
             CauseKind::Structural => "missing physics",
         };
+        let closes = match &f.diagnosis.band {
+            Some(band) => format!(
+                "with what else is named closes {:.1} % of the gap below {:.0} Hz",
+                100.0 * band.closed(),
+                band.below_hz
+            ),
+            None => format!("closes {:.1} % of the gap", 100.0 * cause.closes),
+        };
         page = page.paragraph(format!(
-            "{} ({} stage, {kind}) on axis {}: closes {:.1} % of the gap, confidence {:.0} %.",
+            "{} ({} stage, {kind}) on axis {}: {closes}, confidence {:.0} %.",
             cause.effect,
             cause.stage,
             axes.join(", "),
-            100.0 * cause.closes,
             100.0 * cause.confidence
         ));
         let mut table = Table::new(["parameter", "value (95 % interval)"]);

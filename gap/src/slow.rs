@@ -54,9 +54,7 @@ pub(crate) fn cross_axis(
         }
         let after = scene.raw(&model.fit.rig, everything)?;
         let band = band(scene, &raw, &after, left_out);
-        let floor = band.floor_nm.powi(2);
-        let closed = 1.0 - (band.after_nm.powi(2) - floor) / (band.before_nm.powi(2) - floor);
-        if band.before_nm < 2.0 * band.floor_nm || !accept::explains(closed) {
+        if band.before_nm < 2.0 * band.floor_nm || !accept::explains(band.closed()) {
             continue;
         }
         let mut rivals = Vec::new();
