@@ -149,6 +149,6 @@ fn look(folder: &Path) -> Vec<Entry> {
             Some((meta.modified().ok()?, Entry { path, megabytes, is_unfinished }))
         })
         .collect();
-    found.sort_by(|a, b| b.0.cmp(&a.0));
+    found.sort_by_key(|found| std::cmp::Reverse(found.0));
     found.into_iter().map(|(_, entry)| entry).collect()
 }
