@@ -6,8 +6,9 @@ use host_sim::{Axes, Input, simulate};
 use rayon::prelude::*;
 
 use crate::diagnosis::NextExperiment;
+use crate::model::Model;
 use crate::scene::Scene;
-use crate::select::{Model, Search};
+use crate::select::Search;
 
 /// Cost difference below which noise alone could have decided: three standard deviations and the freedom of the rival.
 const NOISE_MARGIN: f64 = 25.0;
@@ -17,16 +18,49 @@ const LEFTOVER_MARGIN: f64 = 0.5;
 /// Most rivals that are worth naming.
 const MOST_RIVALS: usize = 2;
 
-/// How a cause stands against the others that were tried in its place.
-pub struct Standing {
+/// How the causes of a model stand.
+pub struct Standings {
+    /// One a term.
+    pub causes: Vec<CauseStanding>,
+    /// What would tell the first ambiguous one from its nearest rival.
+    pub next: Option<NextExperiment>,
+}
+
+/// Confidence in a cause and the names of those that cannot be told from it.
+pub struct CauseStanding {
     /// Probability among all that were tried.
     pub confidence: f64,
+    /// Names, nearest first.
+    pub rivals: Vec<String>,
+}
+
+/// Standing of every term of a model.
+pub fn standings(search: &Search, model: &Model) -> Standings {
+    let mut next = None;
+    let causes = (0..model.terms.len())
+        .map(|term| {
+            let Standing { confidence, rivals } = standing(search, model, term);
+            if let (None, Some((name, rival))) = (&next, rivals.first()) {
+                let own = (model.terms[term].name(), model);
+                next = next_experiment(search.scene, own, (name, rival));
+            }
+            let rivals = rivals.iter().map(|(name, _)| name.to_string()).collect();
+            CauseStanding { confidence, rivals }
+        })
+        .collect();
+    Standings { causes, next }
+}
+
+/// How a cause stands against the others that were tried in its place.
+struct Standing {
+    /// Probability among all that were tried.
+    confidence: f64,
     /// Models with another effect in its place that cannot be told apart, nearest first.
-    pub rivals: Vec<(&'static str, Model)>,
+    rivals: Vec<(&'static str, Model)>,
 }
 
 /// Compare the chosen model with every fitted one that differs in one effect only.
-pub fn standing(search: &Search, model: &Model, term: usize) -> Standing {
+fn standing(search: &Search, model: &Model, term: usize) -> Standing {
     let name = model.terms[term].name();
     let mut others = model.key();
     others.retain(|n| *n != name);
@@ -176,11 +210,7 @@ fn menu(rig: &Rig, axes_of_interest: &[usize]) -> Vec<Probe> {
 }
 
 /// The probe of the menu on which two fitted models differ most against the noise.
-pub fn next_experiment(
-    scene: &Scene,
-    a: (&str, &Model),
-    b: (&str, &Model),
-) -> Option<NextExperiment> {
+fn next_experiment(scene: &Scene, a: (&str, &Model), b: (&str, &Model)) -> Option<NextExperiment> {
     let axes: Vec<usize> =
         a.1.terms.iter().flat_map(|t| t.axes()).fold(Vec::new(), |mut seen, axis| {
             if !seen.contains(&axis) {

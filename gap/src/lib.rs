@@ -8,17 +8,21 @@
 
 pub mod accept;
 pub mod ambiguity;
+mod causes;
 pub mod diagnose;
 pub mod diagnosis;
 pub mod energy;
 mod error;
 pub mod fit;
 pub mod floor;
+mod found;
 pub mod guess;
 pub mod identify;
 pub mod intake;
 pub mod knobs;
 pub mod locate;
+mod memory;
+pub mod model;
 pub mod picture;
 pub mod platform;
 pub mod pyramid;

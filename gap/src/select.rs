@@ -8,9 +8,10 @@ use host_sim::effects::Place;
 use host_sim::rig::Rig;
 
 use crate::Error;
-use crate::fit::{Effort, Fit, Sensitivities, cost, fit};
+use crate::fit::{Effort, Sensitivities, cost, fit};
 use crate::guess::Ranges;
-use crate::knobs::{EffectRef, Knob, axes_seen, knobs_at};
+use crate::knobs::{EffectRef, axes_seen};
+use crate::model::{Model, Term, knobs_of, start_terms};
 use crate::scene::{Channel, Scene, Stack, Wanted, dot};
 use crate::screen::{Gain, Screen, screen};
 
@@ -32,98 +33,6 @@ const NEARLY_ALL: f64 = 0.7;
 const WORTH_ABSOLUTE: f64 = 60.0;
 /// A place of an effect must be worth this much cost to stay.
 const WORTH_OF_PLACE: f64 = 40.0;
-
-/// One effect and the places where it acts.
-#[derive(Clone)]
-pub struct Term {
-    /// Effect.
-    pub effect: EffectRef,
-    /// Axes or pairs.
-    pub places: Vec<Place>,
-}
-
-impl Term {
-    /// Name in the catalogue.
-    pub fn name(&self) -> &'static str {
-        self.effect.info().name
-    }
-
-    /// Axes (from 0) whose motion this term explains.
-    pub fn axes(&self) -> Vec<usize> {
-        let mut axes: Vec<usize> = Vec::new();
-        for place in &self.places {
-            match *place {
-                Place::Axis(axis) => axes.push(axis),
-                Place::Pair { on, from } => {
-                    axes.push(on);
-                    if self.effect.info().scope == host_sim::effects::Scope::ReciprocalPair {
-                        axes.push(from);
-                    }
-                }
-            }
-        }
-        axes.sort_unstable();
-        axes.dedup();
-        axes
-    }
-}
-
-/// A fitted set of effects.
-#[derive(Clone)]
-pub struct Model {
-    /// Effects.
-    pub terms: Vec<Term>,
-    /// Their fit.
-    pub fit: Fit,
-    /// What the session offers, for the scales of knobs.
-    pub ranges: Ranges,
-}
-
-impl Model {
-    /// Names of the effects, sorted: the identity of the model in a search.
-    pub fn key(&self) -> Vec<&'static str> {
-        let mut names: Vec<_> = self.terms.iter().map(Term::name).collect();
-        names.sort_unstable();
-        names
-    }
-
-    /// Number of knobs that a term has.
-    fn knob_range(&self, term: usize) -> std::ops::Range<usize> {
-        let size = |t: &Term| t.places.len() * t.effect.info().parameters.len();
-        let start: usize = self.terms[..term].iter().map(size).sum();
-        start..start + size(&self.terms[term])
-    }
-
-    /// Values of one term at one place.
-    pub fn values(&self, term: usize, place: usize) -> &[f64] {
-        let width = self.terms[term].effect.info().parameters.len();
-        let start = self.knob_range(term).start + place * width;
-        &self.fit.values[start..start + width]
-    }
-
-    /// The rig with this model's effects except those of `term` at the places that `drop` picks.
-    pub fn without(
-        &self,
-        nominal: &Rig,
-        term: usize,
-        drop: impl Fn(Place) -> bool,
-    ) -> Result<Rig, Error> {
-        let mut rig = nominal.clone();
-        for (t, this) in self.terms.iter().enumerate() {
-            for (p, &place) in this.places.iter().enumerate() {
-                if t == term && drop(place) {
-                    continue;
-                }
-                for (knob, &value) in
-                    knobs_at(this.effect, place, &self.ranges).iter().zip(self.values(t, p))
-                {
-                    knob.write(&mut rig, value)?;
-                }
-            }
-        }
-        Ok(rig)
-    }
-}
 
 /// The search: scene, nominal rig, screen of the catalogue and what the whole gap costs.
 pub struct Search<'a> {
@@ -382,10 +291,7 @@ impl<'a> Search<'a> {
         start: Vec<f64>,
         effort: Effort,
     ) -> Result<Model, Error> {
-        let knobs: Vec<Knob> = terms
-            .iter()
-            .flat_map(|t| t.places.iter().flat_map(|&p| knobs_at(t.effect, p, &self.ranges)))
-            .collect();
+        let knobs = knobs_of(&terms, &self.ranges);
         let fit =
             fit(self.scene, self.nominal, knobs, start, effort, Some(&self.base), self.include)?;
         (self.tick)();
@@ -477,13 +383,6 @@ impl<'a> Search<'a> {
         }
         Ok(worth)
     }
-}
-
-/// Terms of a model with the values that a wider fit starts from.
-pub fn start_terms(model: &Model) -> Vec<(Term, Vec<f64>)> {
-    (0..model.terms.len())
-        .map(|t| (model.terms[t].clone(), model.fit.values[model.knob_range(t)].to_vec()))
-        .collect()
 }
 
 /// Cost that noise alone would leave in a stack: the sum of all weights squared times the variance that cannot be explained.

@@ -12,9 +12,9 @@ use indicatif::ProgressBar;
 use crate::Error;
 use crate::accept;
 use crate::ambiguity;
-use crate::diagnose::{Found, refit};
 use crate::diagnosis::Band;
 use crate::floor::Kind;
+use crate::found::{Found, refit};
 use crate::guess::Ranges;
 use crate::knobs::EffectRef;
 use crate::pyramid::{BLOCK, low_pass};
@@ -57,25 +57,12 @@ pub(crate) fn cross_axis(
         if band.before_nm < 2.0 * band.floor_nm || !accept::explains(band.closed()) {
             continue;
         }
-        let mut rivals = Vec::new();
-        let mut confidence = Vec::new();
-        let mut next = None;
-        for term in 0..model.terms.len() {
-            let standing = ambiguity::standing(&search, &model, term);
-            if let (None, Some((name, rival))) = (&next, standing.rivals.first()) {
-                let own = (model.terms[term].name(), &model);
-                next = ambiguity::next_experiment(&slow, own, (name, rival));
-            }
-            rivals.push(standing.rivals.iter().map(|(n, _)| n.to_string()).collect());
-            confidence.push(standing.confidence);
-        }
+        let standings = ambiguity::standings(&search, &model);
         let whole = refit(&slow, rig, &model, ranges)?;
         return Ok(Some(Found {
             model,
             whole,
-            rivals,
-            confidence,
-            next,
+            standings,
             tried: Vec::new(),
             missed: Vec::new(),
             band: Some(band),

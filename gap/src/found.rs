@@ -1,0 +1,272 @@
+//! What a search found: chosen, checked on other recordings, searched again where it left axes open, and taken back where it does
+//! not account for enough.
+
+use host_sim::rig::Rig;
+use indicatif::ProgressBar;
+
+use crate::Error;
+use crate::accept::{self, AxisGapSize};
+use crate::ambiguity::{self, Standings};
+use crate::diagnosis::Band;
+use crate::energy::Energies;
+use crate::fit::{Effort, cost};
+use crate::guess::Ranges;
+use crate::knobs::EffectRef;
+use crate::model::{Model, Term, knobs_of, start_terms};
+use crate::scene::{Channel, Scene, Stack, Wanted};
+use crate::select::{Search, noise_cost};
+
+/// A search that found something.
+pub(crate) struct Found {
+    /// Fitted on the fit recordings.
+    pub model: Model,
+    /// Fitted on everything.
+    pub whole: Model,
+    /// How each cause stands against others.
+    pub standings: Standings,
+    /// Names of what else was tried, and the share of the gap that it explains.
+    pub tried: Vec<(String, f64)>,
+    /// Held-out recordings with a gap that the model does not close although it should have.
+    pub missed: Vec<usize>,
+    /// The causes account for slow motion only.
+    pub band: Option<Band>,
+}
+
+/// Search the fitted recordings and check the model on the others.
+pub(crate) fn search(
+    scene: &Scene,
+    rig: &Rig,
+    effects: &[EffectRef],
+    ranges: &Ranges,
+    bar: &ProgressBar,
+    gaps: &[AxisGapSize],
+) -> Result<Option<Found>, Error> {
+    let fitted = |c: &Channel| !c.held_out;
+    let tick = || bar.inc(1);
+    let mut search = Search::new(scene, rig, effects, ranges, &fitted, &tick)?;
+    bar.set_message("fitting");
+    let whole = search.run()?;
+    let Some(model) = by_axis(&mut search, whole, effects, gaps)? else { return Ok(None) };
+    let model = stands_elsewhere(&search, model)?;
+    let gap = search.gap.max(1.0);
+    let tried: Vec<(String, f64)> = search
+        .tried
+        .iter()
+        .take(12)
+        .map(|m| (m.key().join(" + "), 1.0 - (m.fit.cost - search.noise) / gap))
+        .collect();
+    let standings = ambiguity::standings(&search, &model);
+    bar.set_message("checking on the recordings held out");
+    let missed = missed(scene, rig, &model)?;
+    let whole = refit(scene, rig, &model, ranges)?;
+    Ok(Some(Found { model, whole, standings, tried, missed, band: None }))
+}
+
+/// Take out effects that make the held-out recordings worse: they only mended the form of another one where it was fitted.
+fn stands_elsewhere(search: &Search, model: Model) -> Result<Model, Error> {
+    /// Rise of the held-out cost that is no accident, in noise variances.
+    const WORSE: f64 = 30.0;
+    let held = |c: &Channel| c.held_out;
+    let mut model = model;
+    while model.terms.len() > 1 {
+        let mut rigs = vec![model.fit.rig.clone()];
+        for t in 0..model.terms.len() {
+            rigs.push(model.without(search.nominal, t, |_| true)?);
+        }
+        let jobs: Vec<(&Rig, Wanted)> = rigs.iter().map(|r| (r, Wanted::ALL)).collect();
+        let costs: Vec<f64> = search.scene.residuals(&jobs, held)?.iter().map(cost).collect();
+        let worst = (0..model.terms.len()).min_by(|&a, &b| costs[a + 1].total_cmp(&costs[b + 1]));
+        let Some(t) = worst.filter(|&t| costs[t + 1] < costs[0] - WORSE) else { break };
+        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(&model)
+            .into_iter()
+            .enumerate()
+            .filter(|(k, _)| *k != t)
+            .map(|(_, term)| term)
+            .unzip();
+        model = search.fit_model(terms, start.concat(), search.effort())?;
+    }
+    Ok(model)
+}
+
+/// The rig file gets the parameters of a fit to everything, started from the honest one.
+pub(crate) fn refit(
+    scene: &Scene,
+    rig: &Rig,
+    model: &Model,
+    ranges: &Ranges,
+) -> Result<Model, Error> {
+    let all = |_: &Channel| true;
+    let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(model).into_iter().unzip();
+    let knobs = knobs_of(&terms, ranges);
+    let effort = Effort { iterations: 4, ..Effort::default() };
+    let fit = crate::fit::fit(scene, rig, knobs, start.concat(), effort, None, &all)?;
+    Ok(Model { terms, fit, ranges: ranges.clone() })
+}
+
+/// Axes that `model` leaves open are searched again, each by itself: what is loud and unknown on one axis must not hide what is
+/// quiet and known on another. Causes found that way join those of the other axes.
+fn by_axis(
+    search: &mut Search,
+    model: Option<Model>,
+    effects: &[EffectRef],
+    gaps: &[AxisGapSize],
+) -> Result<Option<Model>, Error> {
+    let axes = search.nominal.axes.len();
+    let (scene, rig) = (search.scene, search.nominal);
+    let everything = |_: &Channel| true;
+    let raw = scene.raw(rig, everything)?;
+    let closed = |rig: &Rig| -> Result<Vec<Option<f64>>, Error> {
+        let after = scene.raw(rig, everything)?;
+        Ok(accept::closed_by_axis(&Energies::new(scene, &raw, &after, &everything), axes))
+    };
+    let by_axis = closed(model.as_ref().map_or(rig, |m| &m.fit.rig))?;
+    let open: Vec<usize> = (0..axes)
+        .filter(|&a| gaps[a].counts && by_axis[a].is_some_and(|c| !accept::names(c)))
+        .collect();
+    if open.is_empty() || gaps.iter().filter(|g| g.counts).count() < 2 {
+        return Ok(model);
+    }
+    // What the whole search found keeps the axes that it closes.
+    let closed_here = |term: &Term| term.axes().iter().all(|a| !open.contains(a));
+    let mut terms = model.as_ref().map_or_else(Vec::new, |m| m.part(|_, alone| closed_here(alone)));
+    let before = terms.len();
+    for &axis in &open {
+        let include = move |c: &Channel| !c.held_out && c.axis == axis;
+        let tick = || {};
+        let ranges = search.ranges.clone();
+        let mut alone = Search::new(scene, rig, effects, &ranges, &include, &tick)?;
+        let Some(own) = alone.run()? else { continue };
+        if !closed(&own.fit.rig)?[axis].is_some_and(accept::names) {
+            continue;
+        }
+        for (term, values) in start_terms(&own) {
+            match terms.iter_mut().find(|(known, _)| known.name() == term.name()) {
+                Some((known, all)) => {
+                    known.places.extend(term.places);
+                    all.extend(values);
+                }
+                None => terms.push((term, values)),
+            }
+        }
+    }
+    if terms.len() == before && model.is_some() {
+        return Ok(model);
+    }
+    terms.truncate(crate::select::MOST_EFFECTS);
+    if terms.is_empty() {
+        return Ok(model);
+    }
+    let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = terms.into_iter().unzip();
+    let effort = search.effort();
+    Ok(Some(search.fit_model(terms, start.concat(), effort)?))
+}
+
+/// Held-out recordings whose gap the model leaves open: worth a look with these recordings among the fitted ones.
+fn missed(scene: &Scene, rig: &Rig, model: &Model) -> Result<Vec<usize>, Error> {
+    let held = |c: &Channel| c.held_out;
+    let mut stacks = scene.residuals(&[(rig, Wanted::ALL), (&model.fit.rig, Wanted::ALL)], held)?;
+    let after = stacks.remove(1);
+    let before = stacks.remove(0);
+    let mut missed = Vec::new();
+    for track in 0..scene.tracks.len() {
+        let pick = |stack: &Stack| -> Stack {
+            stack
+                .iter()
+                .zip(&scene.channels)
+                .map(|(row, c)| if c.track == track { row.clone() } else { None })
+                .collect()
+        };
+        let (b, a) = (pick(&before), pick(&after));
+        let noise = noise_cost(scene, &b);
+        let (gap, left) = (cost(&b) - noise, cost(&a) - noise);
+        if gap > 200.0 && left > 0.5 * gap {
+            missed.push(track);
+        }
+    }
+    Ok(missed)
+}
+
+/// Held-out recordings with a gap of their own.
+pub(crate) fn held_out_with_gap(scene: &Scene, nominal: &Stack) -> Vec<usize> {
+    let mut tracks: Vec<usize> = scene
+        .channels
+        .iter()
+        .enumerate()
+        .filter(|(c, channel)| {
+            channel.held_out
+                && nominal[*c]
+                    .as_ref()
+                    .is_some_and(|row| channel.excess(row) > 0.1 * row.len() as f64)
+        })
+        .map(|(_, channel)| channel.track)
+        .collect();
+    tracks.sort_unstable();
+    tracks.dedup();
+    tracks
+}
+
+/// Take back causes on axes that stay mostly open: they are proxies of something that is not in the catalogue.
+pub(crate) fn abstain(
+    rig: &Rig,
+    scene: &Scene,
+    mut found: Found,
+    raw_before: &Stack,
+    gaps: &[AxisGapSize],
+    notes: &mut Vec<String>,
+) -> Result<Option<Found>, Error> {
+    let axes = rig.axes.len();
+    let everything = |_: &Channel| true;
+    let after = scene.raw(&found.model.fit.rig, everything)?;
+    let whole = Energies::new(scene, raw_before, &after, &everything);
+    let overall = whole.gap(axes).closed;
+    let trusted: Vec<bool> = accept::closed_by_axis(&whole, axes)
+        .iter()
+        .zip(gaps)
+        .map(|(closed, gap)| !gap.counts || closed.is_none_or(accept::names))
+        .collect();
+    let abstained: Vec<String> =
+        (0..axes).filter(|&a| !trusted[a]).map(|a| (a + 1).to_string()).collect();
+    if !abstained.is_empty() {
+        notes.push(format!(
+            "On axis {} the best effects of the catalogue close too little to be named: something else is at work there.",
+            abstained.join(" and ")
+        ));
+    }
+    let loud: Vec<bool> = gaps.iter().map(|g| g.counts).collect();
+    restrict(rig, &mut found, &trusted, &loud)?;
+    Ok((!found.model.terms.is_empty() && overall >= 0.0).then_some(found))
+}
+
+/// Keep only the places that act on trusted axes, of effects that reach at least one axis with a gap.
+fn restrict(rig: &Rig, found: &mut Found, trusted: &[bool], loud: &[bool]) -> Result<(), Error> {
+    let stands = |term: &Term| {
+        term.places.iter().any(|&p| {
+            let axes = term.at(p).axes();
+            axes.iter().all(|&a| trusted[a]) && axes.iter().any(|&a| loud[a])
+        })
+    };
+    if trusted.iter().all(|&t| t) && found.model.terms.iter().all(stands) {
+        return Ok(());
+    }
+    let keep = |term: &Term, alone: &Term| stands(term) && alone.axes().iter().all(|&a| trusted[a]);
+    let kept: Vec<bool> = found
+        .model
+        .terms
+        .iter()
+        .map(|term| term.places.iter().any(|&p| keep(term, &term.at(p))))
+        .collect();
+    for model in [&mut found.model, &mut found.whole] {
+        let (terms, values): (Vec<Term>, Vec<Vec<f64>>) = model.part(keep).into_iter().unzip();
+        let values = values.concat();
+        let knobs = knobs_of(&terms, &model.ranges);
+        model.fit.rig = crate::fit::rig_with(rig, &knobs, &values)?;
+        model.fit.at_bound = vec![false; knobs.len()];
+        model.fit.normal = nalgebra::DMatrix::identity(knobs.len(), knobs.len());
+        model.fit.knobs = knobs;
+        model.fit.values = values;
+        model.terms = terms;
+    }
+    let mut kept = kept.into_iter();
+    found.standings.causes.retain(|_| kept.next().unwrap_or(false));
+    Ok(())
+}
