@@ -332,27 +332,15 @@ fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside_n: f64, dt: f64) 
         damping += damper;
         force += spring * y + damper * speed;
     }
-    let mut bristles = None;
-    if let Some(friction) = axis.friction {
-        let speed = state.speed;
-        let stribeck = (-(speed / friction.stribeck_m_per_s).powi(2)).exp();
+    let grip = axis.friction.map(|friction| {
+        let stribeck = (-(state.speed / friction.stribeck_m_per_s).powi(2)).exp();
         let level = friction.coulomb_n * (1.0 + (friction.breakaway - 1.0) * stribeck);
-        let bristle = friction.coulomb_n / friction.presliding_m;
-        let slope = (bristle * (1.0 - state.friction_n / level * speed.signum())).max(0.0);
-        // Linear in the new position, so that stiff bristles do not limit the step.
-        stiffness += slope;
-        force -= state.friction_n - slope * here;
-        bristles = Some((slope, level));
-    }
-
-    // Average acceleration: x1 = xp + h a1, v1 = vp + dt/2 a1; the charge couples in linearly.
-    let h = 0.25 * dt * dt;
-    let xp = state.position_m + dt * state.speed + h * state.acceleration;
-    let vp = state.speed + 0.5 * dt * state.acceleration;
-    let inertia = constants.mass_kg + 0.5 * dt * damping + h * stiffness;
-    let rest = force - stiffness * xp - damping * vp;
-    let base = transformer * (xp + h * rest / inertia);
-    let taken = constants.capacitance_f + transformer * h * transformer / inertia;
+        (level, friction.coulomb_n / friction.presliding_m)
+    });
+    let rubbed = |travel: f64| {
+        let Some((level, bristle)) = grip else { return (0.0, 0.0) };
+        bristles(state.friction_n, level, bristle, travel)
+    };
 
     let factor = match axis.rate {
         Rate::PerDecade(growth) => 1.0 + growth * (1.0 + state.charge_rate.abs() / 1e-4).log10(),
@@ -370,32 +358,53 @@ fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside_n: f64, dt: f64) 
         }
         _ => (0.0, 0.0),
     };
-    // One scalar equation for the charge, monotone: Newton on the branch that the last step suggests.
+    // Average acceleration: x1 = xp + h a1, v1 = vp + dt/2 a1; the charge couples in linearly.
+    let h = 0.25 * dt * dt;
+    let xp = state.position_m + dt * state.speed + h * state.acceleration;
+    let vp = state.speed + 0.5 * dt * state.acceleration;
     let wanted = state.output_v;
     let last = axis.hysteresis.charge_c();
+    let mut travel = dt * state.speed;
     let mut q = last + state.charge_rate * dt;
-    for _ in 0..12 {
-        let (voltage, slope) = axis.hysteresis.at(q);
-        let (loss, steep) = extra(q, last);
-        let residual = factor * voltage + loss + (q - base) / taken - wanted;
-        let change = residual / (factor * slope + steep + 1.0 / taken);
-        q -= change;
-        if change.abs() < 1e-13 {
+    let (mut base, mut taken, mut acceleration);
+    // Friction is taken by its tangent at the travel of the round before; without friction the first round is the answer.
+    let mut rounds = 0;
+    loop {
+        let (rub, slope) = rubbed(travel);
+        let stiffness = stiffness + slope;
+        let inertia = constants.mass_kg + 0.5 * dt * damping + h * stiffness;
+        let rest = force - rub + slope * (here + travel) - stiffness * xp - damping * vp;
+        base = transformer * (xp + h * rest / inertia);
+        taken = constants.capacitance_f + transformer * h * transformer / inertia;
+        // One scalar equation for the charge, monotone: Newton on the branch that the last step suggests.
+        for _ in 0..12 {
+            let (voltage, slope) = axis.hysteresis.at(q);
+            let (loss, steep) = extra(q, last);
+            let residual = factor * voltage + loss + (q - base) / taken - wanted;
+            let change = residual / (factor * slope + steep + 1.0 / taken);
+            q -= change;
+            if change.abs() < 1e-13 {
+                break;
+            }
+        }
+        acceleration = (transformer * (q - base) / taken + rest) / inertia;
+        let gone = xp + h * acceleration - here;
+        let moved = (gone - travel).abs();
+        // A kink that throws the tangent from side to side is halved.
+        travel = if rounds < 6 { gone } else { 0.5 * (gone + travel) };
+        rounds += 1;
+        if axis.friction.is_none() || moved < 1e-15 || rounds == 40 {
             break;
         }
     }
+    state.friction_n = rubbed(travel).0;
     axis.hysteresis.commit(q);
     // A rate over a tenth of a millisecond: dissipation does not follow the 32 kHz ringing.
     state.charge_rate += ((q - last) / dt - state.charge_rate) * (dt / 1e-4).min(1.0);
     state.voltage_z = (q - base) / taken;
-    let acceleration = (transformer * state.voltage_z + rest) / inertia;
     state.position_m = xp + h * acceleration;
     state.speed = vp + 0.5 * dt * acceleration;
     state.acceleration = acceleration;
-    if let Some((slope, level)) = bristles {
-        state.friction_n =
-            (state.friction_n + slope * (state.position_m - here)).clamp(-level, level);
-    }
     for (deflection, share) in state.branches.iter_mut().zip(&state.branch_shares) {
         *deflection += (state.position_m - *deflection) * share;
     }
@@ -418,4 +427,14 @@ fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside_n: f64, dt: f64) 
             *y += (state.position_m - *y) * state.gauge_share;
         }
     }
+}
+
+/// Force (N) of bristles that give way at `level_n`, and its slope (N/m), `travel_m` after they held with `before_n`.
+/// Dahl's law, implicit in the force, so that whatever rubs takes energy and never gives any, at any step.
+fn bristles(before_n: f64, level_n: f64, stiffness_n_per_m: f64, travel_m: f64) -> (f64, f64) {
+    let share = stiffness_n_per_m / level_n;
+    let less = 1.0 + share * travel_m.abs();
+    let force = (before_n + stiffness_n_per_m * travel_m) / less;
+    let slope = (stiffness_n_per_m - share * before_n * travel_m.signum()) / (less * less);
+    (force, slope.max(0.0))
 }

@@ -32,6 +32,32 @@ fn effects_reach_the_wanted_gap() {
 }
 
 #[test]
+fn what_rubs_does_not_chatter() {
+    for index in 0..3 {
+        let case = Case::draw(21, index, &draw("friction", [0.0, 1.0, 0.0, 0.0]));
+        let still = case.session.iter().filter(|r| r.meta.experiment.contains("rest"));
+        for recording in still {
+            for position in recording.position_um.iter().flatten() {
+                let from = recording.settle_rows();
+                // Second differences of white noise have six times its variance; the median hears no edges.
+                let mut bends: Vec<f32> =
+                    position[from..].windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
+                let middle = bends.len() / 2;
+                let median = *bends.select_nth_unstable_by(middle, f32::total_cmp).1;
+                let noise_nm = 1.0e3 * f64::from(median) / 0.6745 / 6.0_f64.sqrt();
+                assert!(
+                    noise_nm < 1.3 * case.label.floor_nm,
+                    "{} {}: {noise_nm:.1} nm for {:.1}",
+                    case.label.truth[0].note,
+                    recording.meta.experiment,
+                    case.label.floor_nm
+                );
+            }
+        }
+    }
+}
+
+#[test]
 fn the_same_numbers_give_the_same_case_and_others_do_not() {
     let draw = Draw { other_rigs: true, sessions: Sessions::Random, ..Draw::default() };
     let first = Case::draw(5, 3, &draw);

@@ -1,6 +1,6 @@
 //! sensor-bandwidth: the conditioner is a low-pass.
 
-use nalgebra::{Matrix4, Vector2, Vector4};
+use nalgebra::{Matrix3, Matrix4, Vector2, Vector4};
 
 use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
 use crate::stages::model::{Model, SensorBlock};
@@ -19,7 +19,7 @@ static INFO: Info = Info {
         Parameter::shape("curvature", "1", (0.0, 1.0), 0.2, "second order: 0 is a single pole, 0.5 two equal ones, 0.71 Butterworth"),
     ],
     threshold: false,
-    physics: "(curvature tau)^2 y'' + tau y' + y = x, exact for a displacement that is straight over a tick. Linear, the same at all levels, \
+    physics: "(curvature tau)^2 y'' + tau y' + y = x, exact for a displacement that follows the amplifier over a tick. Linear, the same at all levels, \
               absent from the monitor; what moves does not know of it.",
     source: "conditioner pole at 5 to 15 kHz (notes/physics.md, section 4); 2120B -3 dB at 15 kHz",
     revealed_by: "steps, multisine up to 0.4 of the sample rate",
@@ -29,12 +29,46 @@ static INFO: Info = Info {
 /// Curvature below which the second pole is faster than a hundredth of the first.
 const SINGLE: f64 = 0.1;
 
+/// What the displacement does between two ticks: the drive is held, so that it follows the amplifier, towards its end with the
+/// amplifier's time constant. After an 80 V edge a straight line would be tens of nm away from that.
+#[derive(Clone, Copy)]
+struct Approach {
+    /// Ticks per time constant; 0 is a straight line.
+    decay: f64,
+    /// Slope at the start of a tick, per tick, for a displacement that gains 1 over the tick.
+    slope: f64,
+}
+
+impl Approach {
+    fn new(time_constant_s: f64, step_s: f64) -> Self {
+        // Faster than a twentieth of a tick would be a jump at the tick.
+        let decay = step_s / time_constant_s.max(0.05 * step_s);
+        Self { decay, slope: decay / -(-decay).exp_m1() }
+    }
+}
+
 /// One pole.
 struct LowPass {
     decay: f64,
     from_start: f64,
     from_end: f64,
     state: Option<(f64, f64)>,
+}
+
+impl LowPass {
+    fn new(time_constant_s: f64, approach: Approach, step_s: f64) -> Self {
+        // In ticks: z = (y, x, x').
+        let rate = step_s / time_constant_s;
+        #[rustfmt::skip]
+        let rates = Matrix3::new(
+            -rate, rate, 0.0,
+            0.0, 0.0, 1.0,
+            0.0, 0.0, -approach.decay,
+        );
+        let advance = rates.exp();
+        let from_end = advance.m13 * approach.slope;
+        Self { decay: advance.m11, from_start: advance.m12 - from_end, from_end, state: None }
+    }
 }
 
 impl SensorBlock for LowPass {
@@ -50,15 +84,16 @@ impl SensorBlock for LowPass {
     }
 }
 
-/// Two poles: reading and its slope (per tick), propagated exactly for an input that is straight over a tick.
+/// Two poles: reading and its slope (per tick).
 struct SecondOrder {
     advance: Matrix4<f64>,
+    slope: f64,
     state: Option<(Vector2<f64>, f64)>,
 }
 
 impl SecondOrder {
-    fn new(time_constant_s: f64, curvature: f64, step_s: f64) -> Self {
-        // In ticks: z = (y, y', x, x'), with x' the constant slope of the input.
+    fn new(time_constant_s: f64, curvature: f64, approach: Approach, step_s: f64) -> Self {
+        // In ticks: z = (y, y', x, x').
         let stiffness = (step_s / (curvature * time_constant_s)).powi(2);
         let damping = stiffness * time_constant_s / step_s;
         #[rustfmt::skip]
@@ -66,9 +101,9 @@ impl SecondOrder {
             0.0, 1.0, 0.0, 0.0,
             -stiffness, -damping, stiffness, 0.0,
             0.0, 0.0, 0.0, 1.0,
-            0.0, 0.0, 0.0, 0.0,
+            0.0, 0.0, 0.0, -approach.decay,
         );
-        Self { advance: rates.exp(), state: None }
+        Self { advance: rates.exp(), slope: approach.slope, state: None }
     }
 }
 
@@ -77,8 +112,8 @@ impl SensorBlock for SecondOrder {
         let motion = match self.state {
             None => Vector2::new(value_m, 0.0),
             Some((motion, before)) => {
-                let start = Vector4::new(motion.x, motion.y, before, value_m - before);
-                (self.advance * start).xy()
+                let slope = (value_m - before) * self.slope;
+                (self.advance * Vector4::new(motion.x, motion.y, before, slope)).xy()
             }
         };
         self.state = Some((motion, value_m));
@@ -92,20 +127,14 @@ impl Effect for SensorBandwidth {
     }
 
     fn apply(&self, values: &[f64], place: Place, model: &mut Model, step_s: f64) {
-        let blocks = &mut model.axes[place.on()].sensor.blocks;
+        let axis = &mut model.axes[place.on()];
+        let approach = Approach::new(axis.amplifier.time_constant_s, step_s);
+        let blocks = &mut axis.sensor.blocks;
         // A second pole far inside a tick is one that nobody sees.
         if values[1] >= SINGLE && values[1] * values[1] * values[0] > 0.02 * step_s {
-            blocks.push(Box::new(SecondOrder::new(values[0], values[1], step_s)));
-            return;
+            blocks.push(Box::new(SecondOrder::new(values[0], values[1], approach, step_s)));
+        } else {
+            blocks.push(Box::new(LowPass::new(values[0], approach, step_s)));
         }
-        let ratio = step_s / values[0];
-        let rise = -(-ratio).exp_m1();
-        let from_end = 1.0 - rise / ratio;
-        blocks.push(Box::new(LowPass {
-            decay: 1.0 - rise,
-            from_start: rise - from_end,
-            from_end,
-            state: None,
-        }));
     }
 }
