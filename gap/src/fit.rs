@@ -44,9 +44,15 @@ pub struct Effort {
     pub hopeless: f64,
 }
 
+impl Effort {
+    /// What most fits take.
+    pub const DEFAULT: Self =
+        Self { iterations: 8, tolerance: 1.0e-3, floor: 0.0, hopeless: f64::INFINITY };
+}
+
 impl Default for Effort {
     fn default() -> Self {
-        Self { iterations: 8, tolerance: 1.0e-3, floor: 0.0, hopeless: f64::INFINITY }
+        Self::DEFAULT
     }
 }
 

@@ -5,21 +5,31 @@
 //! spread over the charge that the session reaches (Goldfarb and Celanovic 1997: a sum of elasto-slide elements in charge). Each knob carries a weak prior around its nominal value, so that
 //! what the recordings do not determine stays where it was.
 
+use host_sim::Output;
 use host_sim::rig::Rig;
 use recording::Session;
 
+use crate::diagnosis::Band;
 use crate::energy::Energies;
 use crate::fit::{Effort, Fit, fit};
+use crate::floor::Kind;
 use crate::intake;
 use crate::knobs::{Knob, Prior, Target};
+use crate::pyramid::{BLOCK, low_pass};
 use crate::scene::{Channel, Scene};
 use crate::split::hold_out_last_third;
-use crate::{Error, Options};
+use crate::{Error, Options, slow};
 
 /// Fits with weights at most.
 const ROUNDS: usize = 6;
 /// Change of what is left in any band (its power) below which weights are not drawn again.
 const SETTLED: f64 = 0.05;
+/// Bands that may be left out, the fastest first: each is a factor of four in frequency.
+const MOST_LEFT_OUT: usize = 3;
+/// A model that leaves more of a band's power than this does not follow it.
+const UNEXPLAINED: f64 = 0.1;
+/// Of the first fit.
+const EFFORT: Effort = Effort { iterations: 12, tolerance: 1.0e-4, ..Effort::DEFAULT };
 /// Elements that a rig without any is given.
 const ELEMENTS: usize = 8;
 
@@ -40,6 +50,8 @@ pub struct Identified {
     pub held_out_linear_nm: Option<f64>,
     /// Noise floor, nm.
     pub floor_nm: f64,
+    /// Where the model follows only slow motion: the band that was fitted, with the gap of the held-out third in it.
+    pub band: Option<Band>,
     /// What changed, one line a value.
     pub lines: Vec<String>,
 }
@@ -56,18 +68,20 @@ pub fn identify(rig: &Rig, session: &Session, options: &Options) -> Result<Ident
     let (knobs, start) = knobs(&scene, &prepared);
     let train = |c: &Channel| !c.held_out;
     bar.set_message("fitting two thirds of every recording");
-    let honest = settle(&scene, &prepared, knobs.clone(), start, &train)?;
+    let left_out = bands_to_leave_out(&scene, &prepared, &knobs, &start, &train)?;
+    let honest = settle(&scene, left_out, &prepared, knobs.clone(), start, &train)?;
     let held_out = |c: &Channel| c.held_out;
     let linear = if prepared == *rig {
         None
     } else {
         bar.set_message("fitting a linear model beside it");
         let (knobs, start) = self::knobs(&scene, rig);
-        let line = settle(&scene, rig, knobs, start, &train)?;
+        let line = settle(&scene, left_out, rig, knobs, start, &train)?;
         Some(scene.raw(&line.rig, everything)?)
     };
     bar.set_message("fitting everything");
-    let whole = settle(&scene, &prepared, knobs, honest.values.clone(), &everything)?;
+    let start = honest.values.clone();
+    let whole = settle(&scene, left_out, &prepared, knobs, start, &everything)?;
     let before = scene.raw(rig, everything)?;
     let after_honest = scene.raw(&honest.rig, everything)?;
     let after = scene.raw(&whole.rig, everything)?;
@@ -77,7 +91,9 @@ pub fn identify(rig: &Rig, session: &Session, options: &Options) -> Result<Ident
     let held_out_linear_nm =
         linear.map(|linear| Energies::new(&scene, &before, &linear, &held_out).gap(axes).after_nm);
     bar.finish_and_clear();
+    let band = (left_out > 0).then(|| slow::band(&scene, &before, &after_honest, left_out));
     Ok(Identified {
+        band,
         lines: lines(&whole),
         rig: whole.rig,
         before_nm: all.before_nm,
@@ -89,19 +105,78 @@ pub fn identify(rig: &Rig, session: &Session, options: &Options) -> Result<Ident
     })
 }
 
+/// Bands to leave out for the model to follow the rest, from rest upwards: a model without the resonances of the rig would else
+/// spend its gains and lags on them. None, where it follows nothing.
+fn bands_to_leave_out(
+    scene: &Scene,
+    rig: &Rig,
+    knobs: &[Knob],
+    start: &[f64],
+    include: &(dyn Fn(&Channel) -> bool + Sync),
+) -> Result<usize, Error> {
+    for left_out in 0..=MOST_LEFT_OUT {
+        let mut slow = scene.clone();
+        leave_out(&mut slow, left_out);
+        let fit = fit(&slow, rig, knobs.to_vec(), start.to_vec(), EFFORT, None, include)?;
+        if unexplained(scene, &fit.rig, left_out, include)? < UNEXPLAINED {
+            return Ok(left_out);
+        }
+    }
+    Ok(0)
+}
+
+fn leave_out(scene: &mut Scene, bands: usize) {
+    if bands > 0 {
+        scene.channels.iter_mut().for_each(|channel| channel.leave_out(bands));
+    }
+}
+
+/// Share of the frequencies up to half the sample rate that is kept.
+fn share_kept(left_out: usize) -> f64 {
+    (BLOCK as f64).powi(-(left_out as i32))
+}
+
+/// Share of the measured motion that a rig leaves in the fastest band that is kept, by power.
+fn unexplained(
+    scene: &Scene,
+    rig: &Rig,
+    left_out: usize,
+    include: &(dyn Fn(&Channel) -> bool + Sync),
+) -> Result<f64, Error> {
+    let still = Output { position_m: vec![Vec::new(); rig.axes.len()], ..Output::default() };
+    let after = scene.raw(rig, include)?;
+    let (mut left, mut moved, mut noise) = (0.0, 0.0, 0.0);
+    for (channel, after) in scene.channels.iter().zip(&after) {
+        let (Some(after), Kind::Position) = (after, channel.kind) else { continue };
+        let mut at_rest = still.clone();
+        at_rest.position_m[channel.axis] = vec![0.0; scene.tracks[channel.track].len()];
+        let band = |row: &[f32]| -> f64 {
+            let upper = low_pass(row, share_kept(left_out));
+            let lower = low_pass(row, share_kept(left_out + 1));
+            upper.iter().zip(&lower).map(|(u, l)| f64::from(u - l).powi(2)).sum()
+        };
+        left += band(after);
+        moved += band(&scene.residual(channel, &at_rest));
+        noise += after.len() as f64 * (share_kept(left_out) - share_kept(left_out + 1));
+    }
+    // A band with little but noise in it is followed.
+    Ok(f64::max(left - 2.0 * noise, 0.0) / f64::max(moved, f64::MIN_POSITIVE))
+}
+
 /// Fits again and again, each weighed by what the one before could not follow: a coarse model must not spend everything on
 /// its loudest recording, nor on a resonance that it does not have, and what it cannot follow shows only once it follows
 /// the rest.
 fn settle(
     scene: &Scene,
+    left_out: usize,
     rig: &Rig,
     knobs: Vec<Knob>,
     start: Vec<f64>,
     include: &(dyn Fn(&Channel) -> bool + Sync),
 ) -> Result<Fit, Error> {
-    let effort = Effort { iterations: 12, tolerance: 1.0e-4, ..Effort::default() };
-    let mut found = fit(scene, rig, knobs.clone(), start, effort, None, include)?;
     let mut weighed = scene.clone();
+    leave_out(&mut weighed, left_out);
+    let mut found = fit(&weighed, rig, knobs.clone(), start, EFFORT, None, include)?;
     let mut before: Option<Vec<f64>> = None;
     for _ in 0..ROUNDS {
         let mut powers = Vec::new();
@@ -120,7 +195,8 @@ fn settle(
             break;
         }
         before = Some(powers);
-        let effort = Effort { iterations: 6, ..effort };
+        leave_out(&mut weighed, left_out);
+        let effort = Effort { iterations: 6, ..EFFORT };
         found = fit(&weighed, rig, knobs.clone(), found.values, effort, None, include)?;
     }
     Ok(found)
@@ -198,8 +274,7 @@ fn knobs(scene: &Scene, rig: &Rig) -> (Vec<Knob>, Vec<f64>) {
         };
     for axis in 0..rig.axes.len() {
         let a = &rig.axes[axis];
-        let measured =
-            scene.channels.iter().any(|c| c.axis == axis && c.kind == crate::floor::Kind::Position);
+        let measured = scene.channels.iter().any(|c| c.axis == axis && c.kind == Kind::Position);
         if !measured {
             continue;
         }

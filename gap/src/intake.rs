@@ -3,6 +3,9 @@
 //! Lost ticks are filled by holding the last drive and are never scored, nor is the settling part, nor the first
 //! milliseconds after a gap (what the drive did meanwhile is not known). Units: volts and micrometres as recorded.
 
+use std::sync::Arc;
+
+use host_sim::Stretch;
 use host_sim::rig::Rig;
 use recording::{Recording, Session};
 
@@ -40,6 +43,8 @@ pub struct Track {
     pub lost: u64,
     /// `true` when a setpoint was recorded: the drive may then depend on the measured position.
     pub closed_loop: bool,
+    /// What the stack of each axis went through before, the oldest first; empty where the session does not tell.
+    pub past: Vec<Arc<[Stretch]>>,
 }
 
 impl Track {
@@ -79,6 +84,7 @@ pub fn tracks(rig: &Rig, session: &Session) -> Result<(Vec<Track>, Vec<String>),
         }
         tracks.push(track(rig, &entry.file, &entry.recording)?);
     }
+    crate::past::remember(rig, &mut tracks);
     Ok((tracks, passed_over))
 }
 
@@ -163,5 +169,6 @@ fn track(rig: &Rig, file: &str, recording: &Recording) -> Result<Track, Error> {
         present,
         lost: n as u64 - recording.len() as u64,
         closed_loop,
+        past: Vec::new(),
     })
 }

@@ -23,6 +23,7 @@ pub mod knobs;
 pub mod locate;
 mod memory;
 pub mod model;
+mod past;
 pub mod picture;
 pub mod platform;
 pub mod pyramid;

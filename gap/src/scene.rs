@@ -118,7 +118,7 @@ impl Scene {
         Self { tracks: Arc::new(tracks), channels, position_noise, monitor_noise }
     }
 
-    /// Simulate one recording.
+    /// Simulate one recording, from these states of its axes (none: depoled) and with what went before.
     pub fn output(
         &self,
         rig: &Rig,
@@ -128,12 +128,19 @@ impl Scene {
     ) -> Result<Output, Error> {
         let track = &self.tracks[track];
         let drive: Vec<&[f64]> = track.drive_v.iter().map(Vec::as_slice).collect();
+        let mut initial = initial.to_vec();
+        if !track.past.is_empty() {
+            initial.resize(track.past.len(), Initial::default());
+        }
+        for (state, past) in initial.iter_mut().zip(&track.past) {
+            state.past = Some(past.clone());
+        }
         let input = Input {
             sample_rate_hz: track.rate_hz,
             start_s: track.start_s,
             ticks: None,
             drive_v: &drive,
-            initial,
+            initial: &initial,
             monitor_v: None,
         };
         simulate(rig, &input, axes).map_err(|e| Error::Rig(e.to_string()))

@@ -72,7 +72,7 @@ pub(crate) fn cross_axis(
 }
 
 /// Gap of held-out positions in the bands that are left.
-fn band(scene: &Scene, before: &Stack, after: &Stack, left_out: usize) -> Band {
+pub(crate) fn band(scene: &Scene, before: &Stack, after: &Stack, left_out: usize) -> Band {
     let mut sums = [0.0; 3];
     let mut samples = 0.0;
     let mut rate_hz: f64 = 0.0;

@@ -28,5 +28,5 @@ pub use effects::Place;
 pub use plant::{Options, Plant, Sample};
 pub use rig::{Rig, RigError};
 pub use simulate::{Axes, Input, MAX_TICKS, Output, SimError, simulate};
-pub use start::{Initial, Memory};
+pub use start::{Initial, Memory, Stretch};
 pub use tuning::controller_settings;

@@ -178,6 +178,53 @@ fn a_state_carries_on_where_it_was_taken() {
     assert!(worst(&whole.position_m[0][..5001], &first.position_m[0]) == 0.0);
 }
 
+/// A recording that begins 20 s after another one still creeps from it: told the past, a fresh start agrees with a run that
+/// never stopped, to what hysteresis makes of the drive.
+#[test]
+fn creep_runs_on_from_what_went_before() {
+    let mut rig = one_axis();
+    rig.set("creep", host_sim::effects::Place::Axis(0), "per_decade", 0.02).unwrap();
+    let rate = 1.0e3;
+    let held: Vec<f64> = vec![80.0; 30_000];
+    let idle: Vec<f64> = vec![0.0; 20_000];
+    let later: Vec<f64> = (0..5_000).map(|i| 35.0 * (1.0 - (f64::from(i) * 0.02).cos())).collect();
+    let whole: Vec<f64> = held.iter().chain(&idle).chain(&later).copied().collect();
+    let simulated = |drive: &[f64], initial: &[Initial]| {
+        let input = Input {
+            sample_rate_hz: rate,
+            start_s: 0.0,
+            ticks: None,
+            drive_v: &[drive],
+            monitor_v: None,
+            initial,
+        };
+        simulate(&rig, &input, Axes::All).unwrap()
+    };
+    let truth = simulated(&whole, &[]);
+    let before = simulated(&whole[..50_000], &[]);
+    // At rest T v = K x, but for the creep itself.
+    let volts_per_m = (rig.axes[0].piezo.stiffness_n_per_m
+        + rig.axes[0].mechanism.stiffness_n_per_m)
+        / rig.axes[0].piezo.transformer_n_per_v;
+    let past: Vec<host_sim::Stretch> = before.position_m[0]
+        .chunks(100)
+        .map(|block| host_sim::Stretch {
+            lasted_s: block.len() as f64 / rate,
+            transducer_v: block.iter().sum::<f64>() / block.len() as f64 * volts_per_m,
+        })
+        .collect();
+    let state =
+        |past| [Initial { memory: before.end[0].memory.clone(), past, ..Initial::default() }];
+    let error = |initial: &[Initial]| {
+        let fresh = simulated(&later, initial);
+        let differs = fresh.position_m[0].iter().zip(&truth.position_m[0][50_000..]);
+        differs.skip(100).fold(0.0_f64, |worst, (a, b)| worst.max((a - b).abs()))
+    };
+    let (blank, told) = (error(&state(None)), error(&state(Some(past.into()))));
+    println!("creep of the past: {:.1} nm untold, {:.1} nm told", blank * 1e9, told * 1e9);
+    assert!(blank > 2.0e-8 && told < 0.12 * blank, "{blank} {told}");
+}
+
 #[test]
 fn a_measured_monitor_replaces_drive_and_amplifier() {
     let rig = one_axis();

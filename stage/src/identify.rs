@@ -60,6 +60,13 @@ fn stage(rig: &Rig, args: &Args) -> anyhow::Result<()> {
         found.after_nm,
         found.floor_nm
     );
+    if let Some(band) = &found.band {
+        println!(
+            "this model follows the recordings below {:.0} Hz only, and was fitted there; the last third below {:.0} Hz: {:.2} nm -> \
+             {:.2} nm; noise {:.2} nm",
+            band.below_hz, band.below_hz, band.before_nm, band.after_nm, band.floor_nm
+        );
+    }
     if let Some(linear_nm) = found.held_out_linear_nm {
         println!(
             "the same third with gains, offsets and lags alone, without slip elements: {linear_nm:.2} nm"

@@ -127,7 +127,6 @@ fn hysteresis_of_the_measured_micromanipulator() {
 
 /// A measured steering mirror: gains and cross terms below 200 Hz, where the relation is static.
 #[test]
-#[ignore = "35 % at present: the fit spends gains and lag on the resonances that the model lacks"]
 fn cross_terms_of_the_measured_mirror() {
     let Some(session) = shared_data::find("data/real/fsm") else { return };
     let Some(rig) = shared_data::find("rigs/fsm-independent.toml") else { return };

@@ -1,6 +1,7 @@
 //! Slow strains of one stack, each exact for a transducer voltage that is straight over the tick.
 
 use super::model::Kelvin;
+use crate::start::Stretch;
 
 /// Strains done at once.
 const LANES: usize = 4;
@@ -21,6 +22,8 @@ struct Lanes {
     from_start: [f64; LANES],
     from_end: [f64; LANES],
     share: [f64; LANES],
+    /// 1/s.
+    rate: [f64; LANES],
 }
 
 impl CreepSim {
@@ -42,6 +45,7 @@ impl CreepSim {
             lanes.from_start[lane] = kelvin.share * (rise - from_end);
             lanes.from_end[lane] = kelvin.share * from_end;
             lanes.share[lane] = kelvin.share;
+            lanes.rate[lane] = kelvin.time_constant_s.recip();
             sim.from_end += lanes.from_end[lane];
             sim.shares += kelvin.share;
         }
@@ -69,10 +73,16 @@ impl CreepSim {
         self.strains.iter().flat_map(|lanes| lanes.state_v).sum()
     }
 
-    /// Settle at a transducer voltage held for ever.
-    pub fn settle(&mut self, held_v: f64) {
+    /// Settle at a transducer voltage held for ever, then live through a past, the oldest stretch first.
+    pub fn settle(&mut self, held_v: f64, past: &[Stretch]) {
         for lanes in &mut self.strains {
-            lanes.state_v = lanes.share.map(|share| share * held_v);
+            lanes.state_v = std::array::from_fn(|lane| {
+                let strain_v = past.iter().fold(held_v, |before_v, stretch| {
+                    let gone = -(-stretch.lasted_s * lanes.rate[lane]).exp_m1();
+                    before_v + (stretch.transducer_v - before_v) * gone
+                });
+                lanes.share[lane] * strain_v
+            });
         }
     }
 

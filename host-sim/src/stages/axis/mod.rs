@@ -129,7 +129,7 @@ impl AxisSim {
                 self.elements.set_voltages(|_, _, i| volts.get(i).copied().unwrap_or(0.0));
             }
         }
-        self.creep.settle(initial.held_v);
+        self.creep.settle(initial.held_v, initial.past.as_deref().unwrap_or_default());
         self.rest(0.0);
         for force in &mut self.forces {
             force.commit(self.mechanism.position_m(), 0.0);
@@ -183,6 +183,7 @@ impl AxisSim {
             amplifier_v: Some(self.amplifier.state_v()),
             memory: Memory::Elements(self.elements.voltages()),
             held_v: if shares != 0.0 { slow / shares } else { self.transducer_v },
+            past: None,
         }
     }
 
