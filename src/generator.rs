@@ -58,7 +58,7 @@ pub enum GeneratorSettings {
     },
     /// Sum of equally strong sines at multiples of a base frequency, with phases drawn from a seed.
     Multisine(Multisine),
-    /// Sine whose frequency grows or falls exponentially, once; then the centre is held.
+    /// Sine whose frequency grows or falls exponentially, once; then it fades out at its last frequency, and the centre is held.
     Sweep {
         /// Centre, um.
         center_um: f32,
@@ -70,7 +70,7 @@ pub enum GeneratorSettings {
         to_hz: f32,
         /// Time from the first to the last, s.
         duration_s: f32,
-        /// Time over which it fades in, s.
+        /// Time over which it fades in, and out after `duration_s`, s.
         blend_s: f32,
     },
     /// The arbitrary waveform in the controller's [`Table`], passed at the given rate with cubic interpolation.
@@ -91,9 +91,9 @@ pub struct Wave {
     pub frequency_hz: f32,
     /// Phase at the start, in turns: 0 rises through the centre, 0.75 starts at the bottom.
     pub phase_turns: f32,
-    /// Time over which it fades in from the present position, s.
+    /// Time over which it fades in from the present position, and out at the end, s.
     pub blend_s: f32,
-    /// Time after which the centre is held instead, s; 0 = never.
+    /// Time after which it fades out, and the centre is held, s; 0 = never.
     pub duration_s: f32,
 }
 
@@ -131,9 +131,9 @@ pub struct Multisine {
     pub tones: u8,
     /// Seed of the phases: the same seed gives the same signal on every machine.
     pub seed: u32,
-    /// Time over which it fades in, s.
+    /// Time over which it fades in, and out at the end, s.
     pub blend_s: f32,
-    /// Time after which the centre is held instead, s; 0 = never.
+    /// Time after which it fades out, and the centre is held, s; 0 = never.
     pub duration_s: f32,
 }
 
@@ -182,7 +182,7 @@ pub struct Generator {
     pub(crate) step: u32,
     /// Blend per tick, in 2^-32.
     pub(crate) blend: u32,
-    /// Ticks until the centre is held; 0 = never.
+    /// Ticks until it fades out to the centre; 0 = never.
     pub(crate) duration: u32,
 }
 

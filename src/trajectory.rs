@@ -2,7 +2,8 @@
 //!
 //! A new waveform g starts at the reference's present position and velocity: the start point coasts to rest within a few
 //! milliseconds, and x = start + s (g - start) with a blend s from 0 to 1 that begins and ends flat. Position and velocity
-//! are therefore continuous whatever is joined to whatever.
+//! are therefore continuous whatever is joined to whatever. A waveform whose time is over fades out in the time that it took to
+//! fade in, still running: its deviation from the centre is w times a weight from 1 to 0.
 //!
 //! The generator runs three ticks ahead. Drives computed now act from the next tick to the one after (one period of
 //! delay, one of hold), and central differences need one more: feedforward gets position, velocity and acceleration at
@@ -10,7 +11,7 @@
 //! belong to the motion that is actually commanded, limits and blends included.
 
 use crate::generator::{Generator, Shape, Table};
-use crate::math::{ONE_Q30, rounded_ramp_q30, smoothstep_q30};
+use crate::math::{ONE_Q30, mul_q30, rounded_ramp_q30, smoothstep_q30};
 use crate::units::{Um, UmPer2Ticks, UmPer4Ticks2, narrow};
 
 /// Start points lose 2^-4 of their velocity each tick: at rest after some 5 ms.
@@ -194,14 +195,20 @@ impl Trajectory {
             return self.generator.center;
         }
         self.age = self.age.saturating_add(1);
-        if self.generator.duration != 0 && self.age > self.generator.duration {
-            self.generator.shape = Shape::Go { ramp: false };
-            self.join();
-            return self.generator.center;
-        }
-        let w = self.generator.wave(table, self.phase);
+        let after = self.age.saturating_sub(self.generator.duration);
+        let has_ended = self.generator.duration != 0 && after != 0;
+        let mut w = self.generator.wave(table, self.phase);
         self.phase = self.phase.wrapping_add((self.step >> 32) as u32);
-        if let Shape::Sweep { growth } = shape {
+        if has_ended {
+            // It goes on while it fades: the way to the centre stays within the amplitude, where a start point that coasts on
+            // with a fast wave's velocity would leave it.
+            let faded = after.saturating_mul(self.generator.blend);
+            if faded == u32::MAX {
+                self.generator.shape = Shape::Go { ramp: false };
+                return self.generator.center;
+            }
+            w = mul_q30(w, ONE_Q30 - smoothstep_q30((faded >> 2) as i32));
+        } else if let Shape::Sweep { growth } = shape {
             let change = ((self.step >> 32) as i64).wrapping_mul(growth as i64) >> 8;
             self.step = self.step.wrapping_add(change as u64);
         }
@@ -242,3 +249,6 @@ fn motion(after: Um, here: Um, before: Um) -> Motion {
 }
 
 const _: () = assert!(ONE_Q30 == 1 << 30 && crate::TICK_HZ == 10_000);
+
+#[cfg(test)]
+mod tests;

@@ -125,7 +125,6 @@ impl Waveform {
                     from_hz: from_hz as f32,
                     to_hz: to_hz as f32,
                     duration_s: duration_s as f32,
-                    // A sweep ends with its velocity: the longer the end, the further it runs on.
                     blend_s: 0.02,
                 }
             }
