@@ -16,18 +16,15 @@ static INFO: Info = Info {
     scope: Scope::Axis,
     parameters: &[
         Parameter::size("time_constant_s", "s", 0.0, (0.0, 10.0), 5.0e-5, "time constant of the conditioner"),
-        Parameter::shape("curvature", "1", (0.0, 1.0), 0.2, "second order: 0 is a single pole, 0.5 two equal ones, 0.71 Butterworth"),
+        Parameter::shape("curvature", "1", (0.0, 1.0), 0.2, "second order: 0 is a single pole, 0.25 two equal ones, 0.5 Butterworth"),
     ],
     threshold: false,
-    physics: "(curvature tau)^2 y'' + tau y' + y = x, exact for a displacement that follows the amplifier over a tick. Linear, the same at all levels, \
+    physics: "curvature tau^2 y'' + tau y' + y = x, exact for a displacement that follows the amplifier over a tick. Linear, the same at all levels, \
               absent from the monitor; what moves does not know of it.",
     source: "conditioner pole at 5 to 15 kHz (notes/physics.md, section 4); 2120B -3 dB at 15 kHz",
     revealed_by: "steps, multisine up to 0.4 of the sample rate",
     confused_with: &["drive-delay", "amplifier-bandwidth"],
 };
-
-/// Curvature below which the second pole is faster than a hundredth of the first.
-const SINGLE: f64 = 0.1;
 
 /// What the displacement does between two ticks: the drive is held, so that it follows the amplifier, towards its end with the
 /// amplifier's time constant. After an 80 V edge a straight line would be tens of nm away from that.
@@ -94,7 +91,7 @@ struct SecondOrder {
 impl SecondOrder {
     fn new(time_constant_s: f64, curvature: f64, approach: Approach, step_s: f64) -> Self {
         // In ticks: z = (y, y', x, x').
-        let stiffness = (step_s / (curvature * time_constant_s)).powi(2);
+        let stiffness = (step_s / time_constant_s).powi(2) / curvature;
         let damping = stiffness * time_constant_s / step_s;
         #[rustfmt::skip]
         let rates = Matrix4::new(
@@ -131,7 +128,7 @@ impl Effect for SensorBandwidth {
         let approach = Approach::new(axis.amplifier.time_constant_s, step_s);
         let blocks = &mut axis.sensor.blocks;
         // A second pole far inside a tick is one that nobody sees.
-        if values[1] >= SINGLE && values[1] * values[1] * values[0] > 0.02 * step_s {
+        if values[1] * values[0] > 0.02 * step_s {
             blocks.push(Box::new(SecondOrder::new(values[0], values[1], approach, step_s)));
         } else {
             blocks.push(Box::new(LowPass::new(values[0], approach, step_s)));

@@ -14,8 +14,10 @@ use crate::start::{Initial, Memory};
 
 pub use alone::Load;
 
-/// Displacement at which a solve with nonlinear forces has converged, m.
-const TOLERANCE_M: f64 = 1.0e-15;
+/// Change of displacement at which a solve has converged, m: a ten-thousandth of the shortest length in any force.
+const TOLERANCE_M: f64 = 1.0e-13;
+/// The same for a place of rest, which is found once a simulation.
+const REST_M: f64 = 1.0e-15;
 
 /// One axis with its state.
 pub struct AxisSim {
@@ -152,7 +154,7 @@ impl AxisSim {
             self.force_n = x * stiffness;
             self.mechanism.rest_under(self.force_n);
             charge = self.transformer * x + self.capacitance * self.transducer_v;
-            if (x - before.1).abs() <= TOLERANCE_M && (charge - before.0).abs() <= 1.0e-18 {
+            if (x - before.1).abs() <= REST_M && (charge - before.0).abs() <= 1.0e-18 {
                 break;
             }
         }
@@ -230,24 +232,56 @@ impl AxisSim {
         self.next_position_m
     }
 
-    /// Newton on the displacement, with the forces taken by their tangent.
+    /// Newton on the displacement, with the forces taken by their tangent, inside a bracket.
+    ///
+    /// A force that gives way over nanometres (friction at a reversal) is steep where the tick begins and flat where it ends:
+    /// tangents from the steep side gain one such length a round. So after a few rounds the flat side is asked.
     fn solve_with_forces(&mut self, free_m: f64, per_volt: f64, beta: f64) -> f64 {
+        const PATIENCE: usize = 3;
         let mut x = self.next_position_m;
+        let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
         let mut force = 0.0;
         for round in 0..50 {
             let (value, slope) = self.forces_at(x);
-            let stiffer = 1.0 - beta * slope;
-            let base = value - slope * x;
-            self.solve_linear((free_m + beta * base) / stiffer, per_volt / stiffer);
-            let change = self.next_position_m - x;
-            force = base + slope * self.next_position_m;
-            // A kink that throws Newton from side to side is halved.
-            x = if round < 10 { self.next_position_m } else { x + 0.5 * change };
-            if change.abs() <= TOLERANCE_M {
+            force = self.solve_tangent(x, (value, slope), free_m, per_volt, beta);
+            let mut next = self.next_position_m;
+            if (next - x).abs() <= TOLERANCE_M {
                 break;
             }
+            // All of this rises with the displacement, so a tangent points to the side of the answer.
+            if next > x {
+                low = low.max(x)
+            } else {
+                high = high.min(x)
+            }
+            if round == PATIENCE {
+                self.solve_tangent(x, (value, 0.0), free_m, per_volt, beta);
+                let far = self.next_position_m;
+                let there = self.forces_at(far);
+                self.solve_tangent(far, there, free_m, per_volt, beta);
+                let back = self.next_position_m;
+                if back > low && back < high && (back - x).abs() > (next - x).abs() {
+                    next = back;
+                }
+            }
+            x = if next > low && next < high { next } else { 0.5 * (low + high) };
         }
         force
+    }
+
+    /// Solve with the forces by a line through their value and slope at `x_m`; the force at the answer.
+    fn solve_tangent(
+        &mut self,
+        x_m: f64,
+        (value, slope): (f64, f64),
+        free_m: f64,
+        per_volt: f64,
+        beta: f64,
+    ) -> f64 {
+        let stiffer = 1.0 - beta * slope;
+        let base = value - slope * x_m;
+        self.solve_linear((free_m + beta * base) / stiffer, per_volt / stiffer);
+        base + slope * self.next_position_m
     }
 
     #[inline]
