@@ -8,6 +8,10 @@ use super::{FONT, Figure, GRID, TEXT, colour, draw, font, label, padded};
 
 /// Points that a line keeps at most: two (minimum and maximum) for each of this many columns.
 const COLUMNS: usize = 900;
+/// Dash and gap of a dashed line, in pixels of the drawing.
+const DASH: (i32, i32) = (7, 5);
+/// Length of the piece of line in a legend: two dashes and the gap between them.
+const SAMPLE: i32 = 2 * DASH.0 + DASH.1;
 
 #[derive(Clone, Copy, PartialEq)]
 enum Mark {
@@ -289,16 +293,30 @@ impl LinePlot {
                         let drawn = if series.mark == Mark::Line {
                             chart.draw_series(LineSeries::new(run, style)).map_err(text)?
                         } else {
+                            let (dash, gap) = DASH;
                             chart
-                                .draw_series(DashedLineSeries::new(run, 7, 5, style))
+                                .draw_series(DashedLineSeries::new(run, dash, gap, style))
                                 .map_err(text)?
                         };
                         // Only one legend entry, whatever the number of runs.
                         if first.is_none() {
                             first = Some(());
-                            drawn.label(series.name.clone()).legend(move |(x, y)| {
-                                PathElement::new(vec![(x, y), (x + 18, y)], style)
-                            });
+                            let drawn = drawn.label(series.name.clone());
+                            if series.mark == Mark::Line {
+                                drawn.legend(move |(x, y)| {
+                                    PathElement::new([(x, y), (x + SAMPLE, y)], style)
+                                });
+                            } else {
+                                drawn.legend(move |(x, y)| {
+                                    let (dash, gap) = DASH;
+                                    DashedPathElement::new(
+                                        [(x, y), (x + SAMPLE, y)],
+                                        dash,
+                                        gap,
+                                        style,
+                                    )
+                                });
+                            }
                         }
                     }
                     continue;
@@ -401,6 +419,37 @@ mod tests {
                 "{svg}"
             );
         }
+    }
+
+    /// A solid and a dashed line of one colour must be told apart in the legend too.
+    #[test]
+    fn the_legend_shows_dashes() {
+        let points = vec![(0.0, 0.0), (1.0, 1.0)];
+        let legend = |series: Series| {
+            // A name of its own colour, so that what is counted is the legend's and not a line's of the other series.
+            let plot = LinePlot::new("t")
+                .series(Series::points("dots", points.clone()))
+                .series(series.color(3));
+            let svg = plot.svg();
+            let ink = colour(3);
+            let ink = format!("#{:02X}{:02X}{:02X}", ink.0, ink.1, ink.2);
+            // Lines as long as the dashes of a legend or shorter, level.
+            svg.lines()
+                .filter(|line| line.starts_with("<polyline") && line.contains(&ink))
+                .filter_map(|line| {
+                    let points = line.split("points=\"").nth(1)?.split('"').next()?;
+                    let at: Vec<(f64, f64)> = points
+                        .split_whitespace()
+                        .filter_map(|p| p.split_once(','))
+                        .map(|(x, y)| (x.parse().unwrap(), y.parse().unwrap()))
+                        .collect();
+                    let (first, last) = (at.first()?, at.last()?);
+                    (first.1 == last.1).then_some(last.0 - first.0)
+                })
+                .collect::<Vec<f64>>()
+        };
+        assert_eq!(legend(Series::line("one", points.clone())), [f64::from(SAMPLE)]);
+        assert_eq!(legend(Series::dashed("two", points.clone())), [7.0, 7.0]);
     }
 
     #[test]

@@ -76,63 +76,43 @@ fn one(
     out.ok_or_else(|| Error::Invalid("nothing was recorded".into()))
 }
 
-fn multisine(name: &str, center: f64, amplitude: f64, axis: usize) -> Experiment {
-    let rate = f64::from(flexstage::TICK_HZ);
-    let hz = rate / PERIOD as f64;
-    let wave = Waveform::Table {
-        center_v: center,
-        amplitude_v: amplitude,
-        frequency_hz: hz,
-        phase_turns: 0.0,
-    };
-    let ramp = Waveform::Ramp { to_v: center, duration_s: 0.2 };
-    Experiment {
-        name: name.to_owned(),
-        condition_v: 0.0,
-        phases: vec![
-            Phase { at_s: 0.0, moves: vec![(axis, ramp)] },
-            Phase { at_s: 0.25, moves: vec![(axis, wave)] },
-        ],
-        duration_s: 0.35 + (PERIODS + 3) as f64 / hz,
-        period_s: Some(1.0 / hz),
-        table: Some(odd_multisine(HIGHEST, 5)),
-    }
-}
-
-fn sweep(name: &str, center: f64, amplitude: f64, axis: usize) -> Experiment {
-    let sweep = |from_hz: f64, to_hz: f64| Waveform::Sweep {
-        center_v: center,
-        amplitude_v: amplitude,
-        from_hz,
-        to_hz,
-        duration_s: SWEEP_S,
-    };
-    let (low, high) = SWEEP_HZ;
-    let ramp = Waveform::Ramp { to_v: center, duration_s: 0.2 };
-    Experiment {
-        name: name.to_owned(),
-        condition_v: 0.0,
-        phases: vec![
-            Phase { at_s: 0.0, moves: vec![(axis, ramp)] },
-            Phase { at_s: 0.25, moves: vec![(axis, sweep(low, high))] },
-            // Up again, from rest: begun at its high end it would overshoot by tens of volts.
-            Phase { at_s: 0.7 + SWEEP_S, moves: vec![(axis, sweep(low, high))] },
-        ],
-        duration_s: 0.9 + 2.0 * SWEEP_S,
-        period_s: None,
-        table: None,
-    }
-}
-
-fn excite(
-    excitation: Excitation,
+/// A recording of one axis around a bias: a ramp to it, then the excitations, each at its time (s).
+fn around(
     name: &str,
-    (center, amplitude): (f64, f64),
     axis: usize,
+    center: f64,
+    excitations: impl IntoIterator<Item = (f64, Waveform)>,
+    duration_s: f64,
 ) -> Experiment {
+    let ramp = Waveform::Ramp { to_v: center, duration_s: 0.2 };
+    let phase = |(at_s, waveform)| Phase { at_s, moves: vec![(axis, waveform)] };
+    let phases = std::iter::once((0.0, ramp)).chain(excitations).map(phase).collect();
+    Experiment::new(name, 0.0, duration_s, phases)
+}
+
+fn multisine(name: &str, (center_v, amplitude_v): (f64, f64), axis: usize) -> Experiment {
+    let frequency_hz = f64::from(flexstage::TICK_HZ) / PERIOD as f64;
+    let wave = Waveform::Table { center_v, amplitude_v, frequency_hz, phase_turns: 0.0 };
+    let duration_s = 0.35 + (PERIODS + 3) as f64 / frequency_hz;
+    Experiment {
+        period_s: Some(1.0 / frequency_hz),
+        table: Some(odd_multisine(HIGHEST, 5)),
+        ..around(name, axis, center_v, [(0.25, wave)], duration_s)
+    }
+}
+
+fn sweep(name: &str, (center_v, amplitude_v): (f64, f64), axis: usize) -> Experiment {
+    let (from_hz, to_hz) = SWEEP_HZ;
+    // Twice upwards, each from rest: begun at its high end a sweep would overshoot by tens of volts.
+    let wave = Waveform::Sweep { center_v, amplitude_v, from_hz, to_hz, duration_s: SWEEP_S };
+    let twice = [(0.25, wave.clone()), (0.7 + SWEEP_S, wave)];
+    around(name, axis, center_v, twice, 0.9 + 2.0 * SWEEP_S)
+}
+
+fn excite(excitation: Excitation, name: &str, level: (f64, f64), axis: usize) -> Experiment {
     match excitation {
-        Excitation::Multisine => multisine(name, center, amplitude, axis),
-        Excitation::Sweep => sweep(name, center, amplitude, axis),
+        Excitation::Multisine => multisine(name, level, axis),
+        Excitation::Sweep => sweep(name, level, axis),
     }
 }
 
@@ -235,18 +215,8 @@ pub fn step_response(
     stop: &AtomicBool,
     progress: &mut dyn FnMut(&Progress),
 ) -> Result<(StepMetrics, Vec<[f64; 3]>)> {
-    let ramp = |to_v: f64, duration_s: f64| vec![(axis, Waveform::Ramp { to_v, duration_s })];
-    let experiment = Experiment {
-        name: "step".into(),
-        condition_v: 0.0,
-        phases: vec![
-            Phase { at_s: 0.0, moves: ramp(from_um, 0.2) },
-            Phase { at_s: 0.7, moves: ramp(to_um, 1e-4) },
-        ],
-        duration_s: 1.2,
-        period_s: None,
-        table: None,
-    };
+    let step = Waveform::Ramp { to_v: to_um, duration_s: 1e-4 };
+    let experiment = around("step", axis, from_um, [(0.7, step)], 1.2);
     let recording = one(device, experiment, axis, Mode::ClosedLoop, stop, progress)?;
     let rate = recording.meta.sample_rate_hz;
     let reference = column(&recording.reference_um[axis], "reference")?;

@@ -73,7 +73,13 @@ const FAST_HZ: f64 = TICK_HZ as f64 / 1024.0;
 const SLOW_HZ: f64 = TICK_HZ as f64 / 8192.0;
 
 impl Experiment {
-    fn new(name: impl Into<String>, condition_v: f64, duration_s: f64, phases: Vec<Phase>) -> Self {
+    /// Without a period and a table.
+    pub(crate) fn new(
+        name: impl Into<String>,
+        condition_v: f64,
+        duration_s: f64,
+        phases: Vec<Phase>,
+    ) -> Self {
         let (period_s, table) = (None, None);
         Self { name: name.into(), condition_v, phases, duration_s, period_s, table }
     }

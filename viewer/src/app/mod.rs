@@ -120,6 +120,11 @@ impl App {
         self.shown.as_ref().map_or(&self.link, |shown| &shown.link)
     }
 
+    /// First and last time on screen, s.
+    pub fn shown_s(&self) -> (f64, f64) {
+        self.view.range_s
+    }
+
     /// One frame.
     pub fn show(&mut self, ui: &mut Ui) {
         self.keys(ui.ctx());

@@ -28,6 +28,9 @@ impl App {
         });
         ui.separator();
         let settings = self.link.settings();
+        if let Some(settings) = &settings {
+            self.gains.observe(settings, self.link.generation());
+        }
         let limits = settings.as_ref().map_or([[-2.0, 18.0]; AXES], |settings| {
             [0, 1, 2].map(|axis| {
                 let limits = &settings.axes[axis].limits;
@@ -38,8 +41,7 @@ impl App {
             Left::Drive => self.drive.show(ui, &self.link.history(), limits),
             Left::Generator => self.generator.show(ui, limits),
             Left::Gains => {
-                let generation = self.link.generation();
-                match self.gains.show(ui, settings.as_ref(), generation, self.link.is_stored()) {
+                match self.gains.show(ui, settings.as_ref(), self.link.is_stored()) {
                     Some(gains::Request::Apply(settings)) => self.link.apply(*settings),
                     Some(gains::Request::Save) => self.link.save(),
                     None => {}
@@ -101,6 +103,7 @@ impl App {
                 }
             }
             Some(probe::Request::Stop) => self.link.stop(),
+            Some(probe::Request::StopDiagnosis) => self.link.stop_diagnosis(),
             Some(probe::Request::Open(report)) => {
                 if let Err(error) = show_file(&report) {
                     self.link.note(format!("{}: {error}", report.display()), true);

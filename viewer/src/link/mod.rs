@@ -3,6 +3,7 @@
 //! Threads: one connects and takes in samples; one sends commands in their order; a stop has a thread of its own, so that
 //! nothing that is waiting can delay it; a probe run or a measurement has its own too, and there is one at a time.
 
+mod diagnosis;
 mod load;
 mod runs;
 mod shared;
@@ -19,8 +20,9 @@ use telemetry::recorder::{Progress, Recorder};
 use telemetry::{DeviceInfo, Error, History};
 
 use crate::Source;
+pub use diagnosis::show_file;
 use load::load;
-pub use runs::{MeasureState, Measured, Measurement, ProbeState, show_file};
+pub use runs::{MeasureState, Measured, Measurement, ProbeState};
 use shared::{Shared, lock};
 
 /// How things stand with the board.
@@ -270,6 +272,7 @@ impl Drop for Link {
     fn drop(&mut self) {
         self.shared.quit.store(true, Ordering::Release);
         self.shared.run_stop.store(true, Ordering::Release);
+        self.stop_diagnosis();
         // Ends the recording properly before the process goes.
         let recorder = lock(&self.shared.recorder).take();
         drop(recorder);

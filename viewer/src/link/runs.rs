@@ -1,9 +1,10 @@
 //! What runs for a while on the board: the probe suite with its diagnosis, measurements, tuning. One at a time, each on a thread of its
 //! own, ended by a stop.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::time::Instant;
 
 use flexstage::Settings;
 use flexstage::link::message::{Command, Reply};
@@ -18,6 +19,7 @@ use telemetry::tune::study::{Applied, Level, Study, apply, study, study_model};
 use telemetry::{Device, Error, Result, probe};
 
 use super::Link;
+use super::diagnosis::{diagnose_session, show_file};
 use super::shared::{Shared, lock};
 
 /// Where a probe run stands.
@@ -28,7 +30,10 @@ pub enum ProbeState {
     /// It runs.
     Running(probe::Progress),
     /// Its recordings are being diagnosed.
-    Diagnosing,
+    Diagnosing {
+        /// Since when.
+        since: Instant,
+    },
     /// It ended.
     Done {
         /// The session folder.
@@ -164,66 +169,67 @@ impl Link {
         let plan = probe::plan(&options);
         let total_s = plan.iter().map(probe::Experiment::total_s).sum();
         let first = preparing(plan.len(), total_s);
-        self.run(move |shared| {
+        let rig = diagnose.clone();
+        let session = folder.clone();
+        let drive = move |shared: &Shared| {
             *lock(&shared.probe) = ProbeState::Running(first);
-            let rig = diagnose.as_deref().and_then(Path::file_stem).unwrap_or_default();
-            let rig = rig.to_string_lossy().into_owned();
-            let result = shared.with_device(|device| {
+            // Recordings carry the rig's own name, not that of the file.
+            let rig = rig.as_deref().map(Rig::load).transpose();
+            let rig = rig.map_err(|e| Error::Rig(e.to_string()))?;
+            let rig = rig.map(|rig| rig.name).unwrap_or_default();
+            shared.with_device(|device| {
                 let axes = &options.axes;
                 let mut show = |p: &probe::Progress| {
                     *lock(&shared.probe) = ProbeState::Running(p.clone());
                 };
-                probe::run(device, &plan, axes, &rig, &folder, &shared.run_stop, &mut show)
+                probe::run(device, &plan, axes, &rig, &session, &shared.run_stop, &mut show)
+            })
+        };
+        // The board is free again; what follows is computing.
+        let then = move |shared: &Shared, result: Result<probe::Report>| {
+            let end = result.map_err(|error| format!("probe: {error}")).and_then(|report| {
+                let (files, lost) = (report.files.len(), report.lost_ticks);
+                let place = folder.display();
+                shared.note(
+                    format!("probe: {files} recordings in {place}, {lost} ticks lost"),
+                    lost > 0,
+                );
+                let Some(rig) = diagnose else {
+                    return Ok((None, "recorded; not diagnosed".to_owned()));
+                };
+                shared.diagnosis_stop.store(false, Ordering::Release);
+                *lock(&shared.probe) = ProbeState::Diagnosing { since: Instant::now() };
+                let (report, verdict) = diagnose_session(&rig, &folder, &shared.diagnosis_stop)
+                    .map_err(|error| format!("diagnosis: {error}"))?;
+                shared.note(format!("diagnosis: {verdict}"), false);
+                if let Err(error) = show_file(&report) {
+                    shared.note(format!("{}: {error}", report.display()), true);
+                }
+                Ok((Some(report), verdict))
             });
-            // The board is free again; what follows is computing.
-            shared.run_active.store(false, Ordering::Release);
-            let report = match result {
-                Ok(report) => report,
+            *lock(&shared.probe) = match end {
+                Ok((report, verdict)) => ProbeState::Done { folder, report, verdict },
                 Err(error) => {
-                    shared.note(format!("probe: {error}"), true);
-                    *lock(&shared.probe) = ProbeState::Failed(error.to_string());
-                    return;
-                }
-            };
-            shared.note(
-                format!(
-                    "probe: {} recordings in {}, {} ticks lost",
-                    report.files.len(),
-                    folder.display(),
-                    report.lost_ticks
-                ),
-                report.lost_ticks > 0,
-            );
-            let state = match diagnose {
-                Some(rig) => {
-                    *lock(&shared.probe) = ProbeState::Diagnosing;
-                    diagnose_session(&rig, &folder)
-                }
-                None => Ok((None, "recorded; not diagnosed".to_owned())),
-            };
-            *lock(&shared.probe) = match state {
-                Ok((report, verdict)) => {
-                    shared.note(format!("diagnosis: {verdict}"), false);
-                    if let Some(report) = &report
-                        && let Err(error) = show_file(report)
-                    {
-                        shared.note(format!("{}: {error}", report.display()), true);
-                    }
-                    ProbeState::Done { folder, report, verdict }
-                }
-                Err(error) => {
-                    shared.note(format!("diagnosis: {error}"), true);
+                    shared.note(&error, true);
                     ProbeState::Failed(error)
                 }
             };
-        });
+        };
+        self.run(drive, then);
+    }
+
+    /// Give up the diagnosis that runs; its recordings stay.
+    pub fn stop_diagnosis(&self) {
+        self.shared.diagnosis_stop.store(true, Ordering::Release);
     }
 
     /// Measure.
     pub fn measure(&self, what: Measurement) {
-        self.run(move |shared| {
+        let drive = move |shared: &Shared| {
             *lock(&shared.measure) = MeasureState::Running(preparing(1, 1.0));
-            let result = shared.with_device(|device| shared.measure(device, what));
+            shared.with_device(|device| shared.measure(device, what))
+        };
+        let then = |shared: &Shared, result: Result<Measured>| {
             *lock(&shared.measure) = match result {
                 Ok(measured) => {
                     *lock(&shared.measured) = Some(Arc::new(measured));
@@ -234,11 +240,16 @@ impl Link {
                     MeasureState::Failed(error.to_string())
                 }
             };
-        });
+        };
+        self.run(drive, then);
     }
 
-    /// Something that drives the board for a while, unless something does already.
-    fn run(&self, act: impl FnOnce(&Shared) + Send + 'static) {
+    /// Something that drives the board for a while, unless something does already, and what follows when the board is free again.
+    fn run<T>(
+        &self,
+        drive: impl FnOnce(&Shared) -> T + Send + 'static,
+        then: impl FnOnce(&Shared, T) + Send + 'static,
+    ) {
         if self.shared.run_active.swap(true, Ordering::AcqRel) {
             self.note("a probe run or a measurement is going on: stop it first", true);
             return;
@@ -246,8 +257,9 @@ impl Link {
         self.shared.run_stop.store(false, Ordering::Release);
         let shared = self.shared.clone();
         std::thread::spawn(move || {
-            act(&shared);
+            let result = drive(&shared);
             shared.run_active.store(false, Ordering::Release);
+            then(&shared, result);
         });
     }
 }
@@ -321,67 +333,4 @@ fn settings_of(device: &Device) -> Result<Settings> {
         Reply::Settings(settings) => Ok(settings),
         _ => Err(Error::Invalid("the board did not answer with its settings".into())),
     }
-}
-
-/// Show a file with the program that the desktop has for it.
-pub fn show_file(path: &Path) -> std::io::Result<()> {
-    let program = if cfg!(target_os = "macos") {
-        "open"
-    } else if cfg!(target_os = "windows") {
-        "explorer"
-    } else {
-        "xdg-open"
-    };
-    std::process::Command::new(program)
-        .arg(path)
-        .stdout(std::process::Stdio::null())
-        .stderr(std::process::Stdio::null())
-        .spawn()
-        .map(|_| ())
-}
-
-/// Run `flexstage diagnose` on a session as a process of its own: minutes of both cores must not share the window's memory.
-fn diagnose_session(
-    rig: &Path,
-    folder: &Path,
-) -> std::result::Result<(Option<PathBuf>, String), String> {
-    let program = std::env::current_exe().map_err(|e| format!("the program is gone: {e}"))?;
-    let mut out = folder.as_os_str().to_owned();
-    out.push("-diagnosis");
-    let out = PathBuf::from(out);
-    let run = std::process::Command::new(program)
-        .arg("diagnose")
-        .arg("--rig")
-        .arg(rig)
-        .arg(folder)
-        .arg("--out")
-        .arg(&out)
-        .output()
-        .map_err(|e| format!("`flexstage diagnose` cannot be started: {e}"))?;
-    if !run.status.success() {
-        let words = String::from_utf8_lossy(&run.stderr);
-        return Err(words.lines().last().unwrap_or("`flexstage diagnose` failed").to_owned());
-    }
-    let text = std::fs::read_to_string(out.join("diagnosis.json"))
-        .map_err(|e| format!("{}: {e}", out.join("diagnosis.json").display()))?;
-    let json: serde_json::Value =
-        serde_json::from_str(&text).map_err(|e| format!("diagnosis.json: {e}"))?;
-    let causes: Vec<String> = json["causes"]
-        .as_array()
-        .into_iter()
-        .flatten()
-        .map(|cause| {
-            let axes: Vec<String> =
-                cause["axes"].as_array().into_iter().flatten().map(|a| a.to_string()).collect();
-            format!("{} (axis {})", cause["effect"].as_str().unwrap_or("?"), axes.join(", "))
-        })
-        .collect();
-    let verdict = format!(
-        "{}{}, gap {:.1} nm before, {:.1} nm after",
-        json["verdict"].as_str().unwrap_or("?"),
-        if causes.is_empty() { String::new() } else { format!(": {}", causes.join(" + ")) },
-        json["gap"]["before_nm"].as_f64().unwrap_or(f64::NAN),
-        json["gap"]["after_nm"].as_f64().unwrap_or(f64::NAN),
-    );
-    Ok((Some(out.join("report.html")), verdict))
 }

@@ -36,6 +36,8 @@ pub struct Shared {
     /// A probe run or a measurement drives the board.
     pub(super) run_active: AtomicBool,
     pub(super) run_stop: AtomicBool,
+    /// The diagnosis that runs is given up.
+    pub(super) diagnosis_stop: AtomicBool,
     pub(super) quit: AtomicBool,
     pub(super) generation: AtomicU64,
 }
@@ -60,6 +62,7 @@ impl Shared {
             measured: Mutex::default(),
             run_active: AtomicBool::new(false),
             run_stop: AtomicBool::new(false),
+            diagnosis_stop: AtomicBool::new(false),
             quit: AtomicBool::new(false),
             generation: AtomicU64::new(0),
         }

@@ -19,6 +19,9 @@ pub enum Request {
     Save,
 }
 
+/// Most changes that can be undone.
+const UNDO: usize = 50;
+
 /// Name, value on the board, value in the file.
 type Difference = (String, String, String);
 
@@ -27,29 +30,50 @@ type Difference = (String, String, String);
 pub struct Gains {
     edited: Option<Settings>,
     generation: u64,
+    /// In effect when last looked at.
+    last: Option<Settings>,
+    /// In effect before, oldest first, whoever changed them: this panel, a tuning, a restart of the board.
     undo: Vec<Settings>,
+    /// Asked for by Undo: their coming into effect is nothing to be undone.
+    undone: Option<Settings>,
     axis: usize,
     file: String,
     comparison: Option<Result<Vec<Difference>, String>>,
 }
 
 impl Gains {
+    /// Take note of what is in effect; to be called in every picture, whether the panel is on screen or not.
+    pub fn observe(&mut self, in_effect: &Settings, generation: u64) {
+        if self.generation == generation && self.edited.is_some() {
+            return;
+        }
+        self.generation = generation;
+        let last = self.last.replace(in_effect.clone());
+        // Saved, or connected again: what is being edited stays.
+        if last.as_ref() == Some(in_effect) && self.edited.is_some() {
+            return;
+        }
+        self.edited = Some(in_effect.clone());
+        let Some(last) = last else { return };
+        if self.undone.take().as_ref() != Some(in_effect) {
+            self.undo.push(last);
+            if self.undo.len() > UNDO {
+                self.undo.remove(0);
+            }
+        }
+    }
+
     /// The panel.
     pub fn show(
         &mut self,
         ui: &mut Ui,
         in_effect: Option<&Settings>,
-        generation: u64,
         is_stored: bool,
     ) -> Option<Request> {
         let Some(in_effect) = in_effect else {
             ui.label("no board: no settings");
             return None;
         };
-        if self.generation != generation || self.edited.is_none() {
-            self.generation = generation;
-            self.edited = Some(in_effect.clone());
-        }
         let mut edited = self.edited.take().unwrap_or_default();
         ui.horizontal(|ui| {
             for axis in 0..AXES {
@@ -94,7 +118,6 @@ impl Gains {
         ui.horizontal_wrapped(|ui| {
             let can = problem.is_none() && !changes.is_empty();
             if ui.add_enabled(can, eframe::egui::Button::new("Apply")).clicked() {
-                self.undo.push(in_effect.clone());
                 out = Some(Request::Apply(Box::new(edited.clone())));
             }
             if ui.add_enabled(!changes.is_empty(), eframe::egui::Button::new("Revert")).clicked() {
@@ -103,6 +126,7 @@ impl Gains {
             if ui.add_enabled(!self.undo.is_empty(), eframe::egui::Button::new("Undo")).clicked()
                 && let Some(before) = self.undo.pop()
             {
+                self.undone = Some(before.clone());
                 out = Some(Request::Apply(Box::new(before)));
             }
             if ui.button("Copy to all axes").clicked() {

@@ -21,6 +21,8 @@ pub enum Request {
     },
     /// Park and give up.
     Stop,
+    /// Give up the diagnosis.
+    StopDiagnosis,
     /// Show the report.
     Open(PathBuf),
 }
@@ -81,7 +83,7 @@ impl Probe {
         });
         self.options.axes = (0..AXES).filter(|&axis| self.axes[axis]).collect();
         let is_running = matches!(state, ProbeState::Running(_));
-        let is_diagnosing = matches!(state, ProbeState::Diagnosing);
+        let is_diagnosing = matches!(state, ProbeState::Diagnosing { .. });
         let experiments = plan(&self.options);
         let seconds: f64 = experiments.iter().map(Experiment::total_s).sum();
         ui.label(format!("{} recordings, {}", experiments.len(), duration(seconds)));
@@ -91,8 +93,14 @@ impl Probe {
                 let rig = self.diagnose.then(|| PathBuf::from(self.rig.trim()));
                 out = Some(Request::Start { options: self.options.clone(), rig });
             }
-            if ui.add_enabled(is_running, eframe::egui::Button::new("Stop probing")).clicked() {
-                out = Some(Request::Stop);
+            let (label, stop) = if is_diagnosing {
+                ("Stop diagnosing", Request::StopDiagnosis)
+            } else {
+                ("Stop probing", Request::Stop)
+            };
+            let can = is_running || is_diagnosing;
+            if ui.add_enabled(can, eframe::egui::Button::new(label)).clicked() {
+                out = Some(stop);
             }
         });
         match state {
@@ -108,10 +116,11 @@ impl Probe {
                     duration((p.total_s - p.done_s).max(0.0))
                 ));
             }
-            ProbeState::Diagnosing => {
+            ProbeState::Diagnosing { since } => {
                 ui.horizontal(|ui| {
                     ui.spinner();
-                    ui.label("diagnosing: a few minutes");
+                    let seconds = since.elapsed().as_secs_f64();
+                    ui.label(format!("diagnosing for {}: half a minute or so", duration(seconds)));
                 });
             }
             ProbeState::Done { folder, report, verdict } => {

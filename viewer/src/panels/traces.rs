@@ -24,6 +24,9 @@ impl Default for Visible {
     }
 }
 
+/// Zoom of the time by the wheel: logarithm of the factor for each point that it scrolls. A notch is about 40 points.
+const WHEEL: f32 = 0.006;
+
 /// A row of traces: title, unit factor, channels in the order in which they are drawn, with their shade.
 struct Row {
     name: &'static str,
@@ -156,6 +159,7 @@ fn plot(
     let (from, to) = view.range_s;
     let ticks = (history.tick_at(from), history.tick_at(to) + 1);
     let unit = row.unit;
+    let turned = ui.input(|i| i.smooth_scroll_delta.y);
     let plot = Plot::new(("traces", row.name))
         .height(height)
         .link_axis(Id::unique("time"), Vec2b::new(true, false))
@@ -207,16 +211,21 @@ fn plot(
                 plot.vline(VLine::new(label, *at).color(Color32::LIGHT_GRAY).width(1.0));
             }
         }
-        (plot.pointer_coordinate(), plot.plot_bounds())
+        if plot.response().hovered() && turned != 0.0 {
+            plot.zoom_bounds_around_hovered(egui::vec2((turned * WHEEL).exp(), 1.0));
+        }
+        plot.pointer_coordinate()
     });
-    let (pointer, bounds) = response.inner;
+    let pointer = response.inner;
     let touched = response.response.dragged()
         || (response.response.hovered()
             && ui.input(|i| i.smooth_scroll_delta != egui::Vec2::ZERO || i.zoom_delta() != 1.0));
     if touched {
         view.is_paused = true;
     }
-    if view.is_paused && view.jump_s.is_none() && (touched || response.response.double_clicked()) {
+    if view.is_paused && view.jump_s.is_none() {
+        // Whatever moved it: a drag, the wheel, a box drawn with the right button.
+        let bounds = response.transform.bounds();
         view.range_s = (bounds.min()[0], bounds.max()[0]);
     }
     if visible.cursors
