@@ -168,7 +168,11 @@ impl Report {
     pub fn write(&self, path: impl AsRef<Path>) -> io::Result<()> {
         let path = path.as_ref();
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let mut file = tempfile::NamedTempFile::new_in(folder)?;
+        let mut builder = tempfile::Builder::new();
+        // As any file that a program writes: the person's umask decides who reads it. The default of a temporary file is nobody else.
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let mut file = builder.tempfile_in(folder)?;
         file.write_all(self.to_html().as_bytes())?;
         file.persist(path).map_err(|error| error.error)?;
         Ok(())
@@ -208,6 +212,20 @@ mod tests {
         assert!(Report::new("new").write(folder.path().join("missing/report.html")).is_err());
         assert!(std::fs::read_to_string(&path).expect("read").contains("old"));
         assert_eq!(std::fs::read_dir(folder.path()).expect("listed").count(), 1);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn others_may_read_a_report_as_they_may_read_any_file() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let mode = |name: &str| {
+            let meta = std::fs::metadata(folder.path().join(name)).expect("there");
+            meta.permissions().mode()
+        };
+        std::fs::write(folder.path().join("any"), "").expect("written");
+        Report::new("r").write(folder.path().join("report.html")).expect("written");
+        assert_eq!(mode("report.html"), mode("any"));
     }
 
     #[test]

@@ -32,6 +32,7 @@ use static_cell::StaticCell;
 use super::device::{self, Board};
 use super::records::{Consumer, Entry, RECORDS};
 use super::tick;
+use crate::AXES;
 use crate::link::session::Session;
 use crate::link::{
     Deframer, MAX_FRAME, Sample, StreamWriter, USB_ENDPOINT_IN, USB_ENDPOINT_OUT, USB_MANUFACTURER,
@@ -181,7 +182,8 @@ fn config() -> Config<'static> {
 
 /// Records to frames.
 async fn pump(mut records: Consumer, mut ring: Sender<'static, NoopRawMutex, StreamFrame>) {
-    let mut packer = Packer { sequence: 0, tick_high: 0, tick_low: 0, lost_before: 0 };
+    let mut packer =
+        Packer { sequence: 0, tick_high: 0, tick_low: 0, lost_before: 0, before: None };
     let mut ticker = Ticker::every(Duration::from_millis(1));
     loop {
         packer.start_stream();
@@ -199,9 +201,12 @@ async fn pump(mut records: Consumer, mut ring: Sender<'static, NoopRawMutex, Str
                     breathe(&mut ticker).await;
                     continue;
                 };
-                if !writer.push(&packer.sample(entry)) {
+                if let Some(sample) = packer.sample(entry)
+                    && !writer.push(&sample)
+                {
                     break;
                 }
+                packer.done(entry);
                 records.drop_oldest();
             }
             if writer.count() > 0
@@ -231,12 +236,15 @@ struct Packer {
     tick_high: u32,
     tick_low: u32,
     lost_before: u32,
+    /// Tick of the record before, and the drives that it commanded.
+    before: Option<(u32, [i32; AXES])>,
 }
 
 impl Packer {
     /// Counts losses from here.
     fn start_stream(&mut self) {
         self.lost_before = tick::SHOWN.lost_records.load(Ordering::Relaxed);
+        self.before = None;
         DROPPED.store(0, Ordering::Relaxed);
     }
 
@@ -256,25 +264,39 @@ impl Packer {
         }
     }
 
-    /// A record as it travels, its tick extended to 64 bits.
-    fn sample(&mut self, entry: &Entry) -> Sample {
+    /// A record as it travels, its tick extended to 64 bits. What acts on the stage from this tick to the next is what the tick before
+    /// commanded, so there is no sample of the first record, nor of the first one after a loss.
+    fn sample(&mut self, entry: &Entry) -> Option<Sample> {
         let record = &entry.record;
+        let (tick, drive) = self.before?;
+        if tick.wrapping_add(1) != record.tick {
+            return None;
+        }
         if record.tick < self.tick_low {
             self.tick_high = self.tick_high.wrapping_add(1);
         }
         self.tick_low = record.tick;
         let axes = &record.axes;
-        Sample {
+        Some(Sample {
             tick: u64::from(self.tick_high) << 32 | u64::from(record.tick),
             reference: axes.each_ref().map(|axis| axis.reference.to_bits()),
             position: axes.each_ref().map(|axis| axis.position.to_bits()),
-            drive: axes.each_ref().map(|axis| axis.drive.to_bits()),
+            drive,
             monitor: axes.each_ref().map(|axis| axis.monitor.to_bits()),
             flags: record.flags.0,
             cycles: entry.cycles,
             gauge_code: entry.gauge,
             dac_code: axes.each_ref().map(|axis| axis.dac),
+        })
+    }
+
+    /// A record has been dealt with: its drives act in the next one. A loss before it cost it its sample too.
+    fn done(&mut self, entry: &Entry) {
+        let record = &entry.record;
+        if self.before.is_some_and(|(tick, _)| tick.wrapping_add(1) != record.tick) {
+            DROPPED.store(DROPPED.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
         }
+        self.before = Some((record.tick, record.axes.each_ref().map(|axis| axis.drive.to_bits())));
     }
 }
 

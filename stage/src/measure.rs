@@ -244,11 +244,24 @@ pub fn bode(title: &str, frf: &Frf, name: &str) -> Bode {
     trace(Bode::new(title), name, frf).coherence(&frequency, &coherence)
 }
 
-/// Another response in the same plot.
+/// Another response in the same plot; one of nothing at all (a loop that is open) is left out.
 pub fn trace(plot: Bode, name: &str, frf: &Frf) -> Bode {
-    let frequency: Vec<f64> = frf.points.iter().map(|p| p.frequency_hz).collect();
-    let magnitude: Vec<f64> = frf.points.iter().map(|p| p.magnitude_db()).collect();
+    let (frequency, magnitude) = magnitudes(frf);
+    if magnitude.iter().all(|db| !db.is_finite()) {
+        return plot;
+    }
     plot.trace(name, &frequency, &magnitude, &frf.phase_deg())
+}
+
+/// A predicted response in the same plot, dashed.
+pub fn prediction(plot: Bode, frf: &Frf) -> Bode {
+    let (frequency, magnitude) = magnitudes(frf);
+    plot.dashed("predicted", &frequency, &magnitude, &frf.phase_deg())
+}
+
+/// Frequencies, Hz, and magnitudes, dB.
+fn magnitudes(frf: &Frf) -> (Vec<f64>, Vec<f64>) {
+    frf.points.iter().map(|p| (p.frequency_hz, p.magnitude_db())).unzip()
 }
 
 fn response_lines(frf: &Frf, unit: &str) -> Vec<String> {

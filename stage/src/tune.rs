@@ -12,7 +12,7 @@ use telemetry::tune::LoopFigures;
 use telemetry::tune::study::{Applied, Level, Study, apply, distance, study, study_model};
 
 use crate::board::{BoardArgs, axis_index, on_interrupt, seconds_bar};
-use crate::measure::{bode, frf_json, margin_lines, trace};
+use crate::measure::{bode, frf_json, margin_lines, prediction, trace};
 
 /// Band in which prediction and measurement are compared, Hz.
 const BAND_HZ: f64 = 500.0;
@@ -136,29 +136,30 @@ fn page(study: &Study, applied: Option<&Applied>) -> Report {
             figures(&proposal.predicted),
             closed_words(&study.closed_predicted),
         ]);
-    let mut closed = bode("Reference to position", &study.closed_before, "before");
-    closed = trace(closed, "predicted", &study.closed_predicted);
-    let mut verdict = proposal.changes.join("; ");
-    if let Some(applied) = applied {
-        let margins = margin_lines(&applied.after.margins).join("; ");
-        table = table.row(["measured".to_owned(), margins, closed_words(&applied.closed)]);
-        closed = trace(closed, "measured", &applied.closed);
-        if let Some(words) = agreement(study, applied) {
-            verdict = format!("{verdict}; {words}");
-        }
-    }
     let gain = telemetry::measure::campaign::with_controller(
         study.before.plant.clone(),
         &proposal.settings,
         study.axis,
     );
+    let mut closed = bode("Reference to position", &study.closed_before, "before");
     let mut loop_gain = bode("Loop gain", &study.before.loop_gain, "before");
-    loop_gain = trace(loop_gain, "predicted", &gain.loop_gain);
+    let mut verdict = "Proposed, not applied.".to_owned();
     if let Some(applied) = applied {
+        let margins = margin_lines(&applied.after.margins).join("; ");
+        table = table.row(["measured".to_owned(), margins, closed_words(&applied.closed)]);
+        closed = trace(closed, "measured", &applied.closed);
         loop_gain = trace(loop_gain, "measured", &applied.after.loop_gain);
+        verdict = match agreement(study, applied) {
+            Some(words) => format!("Applied; {words}."),
+            None => "Applied.".to_owned(),
+        };
     }
+    // Dashed and on top: where it holds, the measurement shows through it.
+    closed = prediction(closed, &study.closed_predicted);
+    loop_gain = prediction(loop_gain, &gain.loop_gain);
     Report::new(format!("Tuning of axis {}", study.axis + 1))
         .verdict(verdict)
+        .paragraph(format!("Changed: {}.", proposal.changes.join("; ")))
         .table(table)
         .figure(
             &closed,
@@ -184,6 +185,8 @@ fn closed_words(t: &Frf) -> String {
     let bandwidth =
         t.bandwidth_hz().map_or("above the measured band".into(), |f| format!("at {f:.0} Hz"));
     let peak = t.coherent(0.8).points.iter().map(|p| p.magnitude_db()).fold(f64::MIN, f64::max);
+    // No minus sign before a zero.
+    let peak = (peak * 10.0).round() / 10.0 + 0.0;
     format!("closed loop -3 dB {bandwidth}, highest gain {peak:.1} dB")
 }
 

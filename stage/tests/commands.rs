@@ -192,6 +192,37 @@ fn tuning_predicts_what_is_then_measured() {
     assert!(lines.is_empty() || after.contains("agree"), "only axis 2 differs: {after}");
 }
 
+/// An amplifier slower than the settings believe: tuned on the corrected rig file alone, the closed loop becomes what was predicted, and
+/// follows better than with what could be told without the rig file.
+#[test]
+fn tuning_on_a_corrected_rig_predicts_the_stage() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut rig = host_sim::Rig::named("handley").unwrap();
+    rig.set("amplifier-bandwidth", host_sim::effects::Place::Axis(0), "ratio", 1.6).unwrap();
+    let (model, page) = (folder.path().join("rig.toml"), folder.path().join("tune.html"));
+    std::fs::write(&model, rig.to_toml()).unwrap();
+    let board = Board::start(&["--virtual-rig", text(&model)]);
+    let arguments = ["tune", "--model", text(&model), "--apply", "--json", "--out", text(&page)];
+    let out = json(&ok(board.run(&arguments)));
+    let off = out["prediction_off"].as_f64().unwrap();
+    assert!(off < 0.05, "the prediction is off by {off}");
+    let changes = out["changes"].to_string();
+    assert!(changes.contains("amplifier time constant: 0.4000 -> 0.6400 ms"), "{changes}");
+    assert_eq!(changes.matches("amplifier time constant").count(), 1, "{changes}");
+    assert!(out["measured"]["modulus_margin"].as_f64().unwrap() > 0.55, "{}", out["measured"]);
+    let at_400 = |key: &str| {
+        let points = out[key].as_array().unwrap();
+        let near = |p: &&serde_json::Value| p["frequency_hz"].as_f64().unwrap() >= 400.0;
+        points.iter().find(near).unwrap()["magnitude_db"].as_f64().unwrap()
+    };
+    let (predicted, measured) = (at_400("predicted_closed_loop"), at_400("measured_closed_loop"));
+    assert!(predicted.abs() < 0.5 && (predicted - measured).abs() < 0.3, "{predicted} {measured}");
+    let page = std::fs::read_to_string(&page).unwrap();
+    for word in ["before", "predicted", "measured", "Loop gain", "Reference to position"] {
+        assert!(page.contains(word), "{word}");
+    }
+}
+
 #[test]
 fn wrong_input_is_named() {
     let folder = tempfile::tempdir().unwrap();

@@ -124,6 +124,7 @@ fn a_minute_of_mixed_motion_is_bit_identical() {
     let last = samples.last().unwrap().tick;
     let mut outside = Vec::new();
     let mut latched = [256; AXES];
+    let mut held = [0; AXES];
     for tick in 0..=last {
         while let Some((_, order)) = told.next_if(|(at, _)| u64::from(*at) <= tick) {
             match order {
@@ -142,7 +143,8 @@ fn a_minute_of_mixed_motion_is_bit_identical() {
                 let host = (
                     axis.reference.to_bits(),
                     axis.position.to_bits(),
-                    axis.drive.to_bits(),
+                    // What acts from this tick on was computed by the one before.
+                    held[k],
                     axis.monitor.to_bits(),
                 );
                 let board = (s.reference[k], s.position[k], s.drive[k], s.monitor[k]);
@@ -158,6 +160,7 @@ fn a_minute_of_mixed_motion_is_bit_identical() {
         }
         outside.push((latched, step.true_um));
         latched = record.axes.map(|a| a.dac);
+        held = record.axes.map(|a| a.drive.to_bits());
     }
     // The outside world too: the codes that the board's DACs latched at each edge, the true positions of its plant.
     for (n, (t, o)) in log.iter().zip(&outside).enumerate() {

@@ -1,5 +1,7 @@
 //! Frequency responses: magnitude over phase, with coherence where it was measured.
 
+use plotters::prelude::SeriesLabelPosition;
+
 use super::{Figure, LinePlot, Series, draw};
 
 /// Magnitude (dB) and phase (degrees) over logarithmic frequency (Hz).
@@ -14,18 +16,39 @@ impl Bode {
     /// An empty Bode plot.
     pub fn new(title: impl Into<String>) -> Self {
         Self {
-            magnitude: LinePlot::new(title).y("magnitude (dB)").log_x(),
-            phase: LinePlot::new("").x("frequency (Hz)").y("phase (deg)").log_x(),
+            // Most responses fall: what is free is at the lower left. One legend serves all strips.
+            magnitude: LinePlot::new(title)
+                .y("magnitude (dB)")
+                .log_x()
+                .legend(Some(SeriesLabelPosition::LowerLeft)),
+            phase: LinePlot::new("").x("frequency (Hz)").y("phase (deg)").log_x().legend(None),
             coherence: None,
         }
     }
 
     /// One response: frequencies (Hz), magnitudes (dB), phases (degrees, unwrapped by the caller), of equal length.
     #[must_use]
-    pub fn trace(mut self, name: &str, freq_hz: &[f64], mag_db: &[f64], phase_deg: &[f64]) -> Self {
+    pub fn trace(self, name: &str, freq_hz: &[f64], mag_db: &[f64], phase_deg: &[f64]) -> Self {
+        self.draw(Series::line, name, freq_hz, mag_db, phase_deg)
+    }
+
+    /// The same, dashed: a prediction over what was measured, which shows through it where both agree.
+    #[must_use]
+    pub fn dashed(self, name: &str, freq_hz: &[f64], mag_db: &[f64], phase_deg: &[f64]) -> Self {
+        self.draw(Series::dashed, name, freq_hz, mag_db, phase_deg)
+    }
+
+    fn draw(
+        mut self,
+        style: fn(String, Vec<(f64, f64)>) -> Series,
+        name: &str,
+        freq_hz: &[f64],
+        mag_db: &[f64],
+        phase_deg: &[f64],
+    ) -> Self {
         let pairs = |values: &[f64]| freq_hz.iter().copied().zip(values.iter().copied()).collect();
-        self.magnitude = self.magnitude.series(Series::line(name, pairs(mag_db)));
-        self.phase = self.phase.series(Series::line(name, pairs(phase_deg)));
+        self.magnitude = self.magnitude.series(style(name.to_owned(), pairs(mag_db)));
+        self.phase = self.phase.series(style(name.to_owned(), pairs(phase_deg)));
         self
     }
 
@@ -70,7 +93,9 @@ mod tests {
         let freq = [1.0, 10.0, 100.0];
         let bode = Bode::new("loop")
             .trace("measured", &freq, &[0.0, -1.0, -20.0], &[0.0, -20.0, -150.0])
+            .dashed("predicted", &freq, &[0.1, -1.1, -21.0], &[0.0, -21.0, -151.0])
             .mark(30.0, "crossover");
+        assert_eq!(bode.svg().matches("predicted").count(), 1, "one legend for all strips");
         assert!(!bode.svg().contains("coherence"));
         let svg = bode.coherence(&freq, &[1.0, 0.99, 0.9]).svg();
         for word in ["magnitude", "phase", "coherence", "crossover"] {

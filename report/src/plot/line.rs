@@ -2,6 +2,7 @@
 
 use plotters::coord::Shift;
 use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
+use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 
 use super::{FONT, Figure, GRID, TEXT, colour, draw, font, label, padded};
@@ -78,6 +79,7 @@ pub struct LinePlot {
     bands: Vec<(f64, f64)>,
     x_marks: Vec<(f64, String)>,
     y_marks: Vec<(f64, String)>,
+    legend: Option<SeriesLabelPosition>,
 }
 
 impl LinePlot {
@@ -96,7 +98,15 @@ impl LinePlot {
             bands: Vec::new(),
             x_marks: Vec::new(),
             y_marks: Vec::new(),
+            legend: Some(SeriesLabelPosition::UpperRight),
         }
+    }
+
+    /// Where the legend stands, if anywhere.
+    #[must_use]
+    pub(super) fn legend(mut self, position: Option<SeriesLabelPosition>) -> Self {
+        self.legend = position;
+        self
     }
 
     /// Title of the horizontal axis, with its unit.
@@ -342,10 +352,12 @@ impl LinePlot {
                 .label(series.name.clone())
                 .legend(move |(x, y)| Circle::new((x + 9, y), 4, fill.filled()));
         }
-        if self.series.len() > 1 {
+        if let Some(position) = self.legend.clone()
+            && self.series.len() > 1
+        {
             chart
                 .configure_series_labels()
-                .position(SeriesLabelPosition::UpperRight)
+                .position(position)
                 .background_style(WHITE.mix(0.8))
                 .border_style(GRID)
                 .label_font((FONT, 13).into_font())

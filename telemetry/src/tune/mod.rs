@@ -200,6 +200,8 @@ pub struct Proposal {
     pub plant: PlantFit,
     /// What changes, in words.
     pub changes: Vec<String>,
+    /// What the measured response says of the plant, in words, with what that changes in the feedforward.
+    pub plant_notes: Vec<String>,
 }
 
 /// Loop gain of a measured plant (held drive to position) with a feedback.
@@ -311,11 +313,12 @@ pub fn propose(plant: &Frf, settings: &Settings, axis: usize) -> Option<Proposal
         ));
     }
     let (old, new) = (&settings.axes[axis], &out.axes[axis]);
+    let line = |name: &str, old: f32, new: f32, unit: &str| {
+        (old != new).then(|| format!("{name}: {old:.4} -> {new:.4} {unit}"))
+    };
     let mut changes = Vec::new();
     let mut change = |name: &str, old: f32, new: f32, unit: &str| {
-        if old != new {
-            changes.push(format!("{name}: {old:.4} -> {new:.4} {unit}"));
-        }
+        changes.extend(line(name, old, new, unit));
     };
     change(
         "proportional",
@@ -335,22 +338,22 @@ pub fn propose(plant: &Frf, settings: &Settings, axis: usize) -> Option<Proposal
         new.feedback.derivative_v_ms_per_um,
         "V ms/um",
     );
-    change(
+    for notch in &new.feedback.notches {
+        changes.push(format!("notch at {:.0} Hz", notch.frequency_hz));
+    }
+    let lag = line(
         "amplifier time constant",
         old.amplifier_time_constant_s * 1e3,
         new.amplifier_time_constant_s * 1e3,
         "ms",
     );
-    for notch in &new.feedback.notches {
-        changes.push(format!("notch at {:.0} Hz", notch.frequency_hz));
-    }
-    changes.extend(notes);
     Some(Proposal {
         settings: out,
         before: figures(&plant, &before),
         predicted,
         plant: fit,
         changes,
+        plant_notes: lag.into_iter().chain(notes).collect(),
     })
 }
 

@@ -96,7 +96,7 @@ pub fn study(
 ) -> Result<Study> {
     let in_effect = settings_of(device)?;
     let (before, closed_before) = both(device, axis, level, &in_effect, stop, progress)?;
-    let proposal = propose(&before.plant, &in_effect, axis).ok_or_else(|| {
+    let mut proposal = propose(&before.plant, &in_effect, axis).ok_or_else(|| {
         Error::Invalid(format!(
             "the response of axis {} is too noisy, or no gains keep the margins: measure with a larger amplitude than {} V and \
              look at the frequency response",
@@ -104,6 +104,8 @@ pub fn study(
             level.amplitude_v
         ))
     })?;
+    let notes = std::mem::take(&mut proposal.plant_notes);
+    proposal.changes.extend(notes);
     let (old, new) = (&in_effect.axes[axis], &proposal.settings.axes[axis]);
     let closed_predicted = predict_closed_loop(&before.plant, &closed_before, old, new);
     Ok(Study { axis, level, in_effect, before, closed_before, proposal, closed_predicted })
@@ -136,7 +138,8 @@ pub fn study_model(
     })?;
     proposal.before = super::figures(&before.plant.coherent(0.8), &in_effect.axes[axis].feedback);
     proposal.changes.splice(0..0, model_changes(in_effect, &modelled, axis));
-    // The rig's own time constant, not the one fitted to its response.
+    // The rig's own time constant and stiffness, not what could be read from its response.
+    proposal.plant_notes.clear();
     proposal.settings.axes[axis].amplifier_time_constant_s =
         modelled.axes[axis].amplifier_time_constant_s;
     let tuned = board(&proposal.settings)?;
