@@ -68,11 +68,16 @@ fn a_wave_that_ends_stays_within_its_amplitude_and_reaches_its_centre() {
                 // triangle's tip.
                 let turn = std::f64::consts::TAU * f64::from(frequency_hz.max(10.0)) * 1e-4;
                 let own = match settings {
-                    GeneratorSettings::Triangle(_) => 2.0 * 4.0 * 5.0 * f64::from(frequency_hz) * 1e-4,
+                    GeneratorSettings::Triangle(_) => {
+                        2.0 * 4.0 * 5.0 * f64::from(frequency_hz) * 1e-4
+                    }
                     _ => 5.0 * turn * turn,
                 };
                 let blend = 10.0 * (6.0 / 200.0 / 200.0 + 2.0 * 1.5 / 200.0 * turn);
-                assert!(bend <= 1.05 * own + blend, "{settings:?}: {bend} um/tick^2, {own} + {blend}");
+                assert!(
+                    bend <= 1.05 * own + blend,
+                    "{settings:?}: {bend} um/tick^2, {own} + {blend}"
+                );
             }
         }
     }

@@ -1,8 +1,8 @@
 //! From rig to verdict, as a person would: an effect is planted in the rig behind a board, `flexstage probe` drives it over the link,
 //! `flexstage diagnose` gets the session and the model without the effect, and has to name it.
 //!
-//! The board is the virtual one: control core and wire format of the firmware against a simulated plant, faster than real time. The emulated
-//! board speaks the same link (`--connect`), but half a minute of probing in it takes minutes.
+//! The board is the virtual one: control core and wire format of the firmware against a simulated plant, faster than real time. The same
+//! from the emulated board, with the flashed image itself, is a test of the emulator.
 
 mod common;
 
@@ -60,13 +60,11 @@ fn assert_names(diagnosis: &serde_json::Value, effect: &str, axis: usize) {
 }
 
 #[test]
-#[ignore = "the diagnosis takes minutes of processor time: run with --ignored"]
 fn creep_planted_in_the_rig_is_named() {
     assert_names(&verdict("creep", 1, "per_decade", 0.02), "creep", 1);
 }
 
 #[test]
-#[ignore = "the diagnosis takes minutes of processor time: run with --ignored"]
 fn a_slow_amplifier_is_named() {
     assert_names(&verdict("amplifier-bandwidth", 0, "ratio", 1.6), "amplifier-bandwidth", 0);
 }

@@ -85,7 +85,8 @@ fn padded(values: impl Iterator<Item = f64>, pad: f64) -> (f64, f64) {
 /// A tick label with as many digits as it needs and no more.
 fn label(value: f64) -> String {
     let size = value.abs();
-    if value == 0.0 {
+    // What sums of steps leave of a zero between -0.1 and 0.1.
+    if size < 1e-15 {
         "0".into()
     } else if (1e-3..1e5).contains(&size) {
         let text = format!("{value:.4}");
@@ -104,6 +105,7 @@ mod tests {
         assert_eq!(label(0.25), "0.25");
         assert_eq!(label(100.0), "100");
         assert_eq!(label(1e-6), "1e-6");
+        assert_eq!(label(-0.1 + 2.0 * 0.05 - 1e-17), "0");
     }
 
     #[test]
