@@ -220,8 +220,7 @@ impl Runner<'_> {
             self.axes.iter().map(|&axis| (axis, Waveform::Ramp { to_v, duration_s })).collect()
         };
         let (up, down) = (everywhere(experiment.condition_v, 0.2), everywhere(0.0, 0.2));
-        self.start(&down)?;
-        self.until("the stage to come to rest", REST_S, |s| state(s) == State::Hold)?;
+        self.come_to_rest(&down)?;
         self.captured = Some(Vec::new());
         // Every wait counts from the tick at which the board says that the command before took effect: a host that is
         // late makes an experiment longer, never cuts it short.
@@ -250,9 +249,13 @@ impl Runner<'_> {
         self.until_tick(end, first, seconds)?;
         let mut samples = self.captured.take().unwrap_or_default();
         samples.retain(|s| (first..end).contains(&s.tick));
-        self.start(&down)?;
-        self.until("the stage to come to rest", REST_S, |s| state(s) == State::Hold)?;
+        self.come_to_rest(&down)?;
         Ok((samples, begin - first))
+    }
+
+    fn come_to_rest(&mut self, down: &[(usize, Waveform)]) -> Result<()> {
+        let begin = self.start(down)?;
+        self.until(begin, "the stage to come to rest", REST_S, |s| state(s) == State::Hold)
     }
 
     fn ticks(&self, seconds: f64) -> u64 {
@@ -312,23 +315,42 @@ impl Runner<'_> {
         Ok(())
     }
 
-    fn until(&mut self, what: &str, seconds: f64, done: impl Fn(&Sample) -> bool) -> Result<()> {
-        // At least one batch newer than the command before, which may not show in the last one yet.
-        let start = self.now()?;
-        let settle = self.ticks(0.02);
+    /// Wait until a sample is so that is newer than `tick`, at which a command took effect. Samples from before it are still on their way
+    /// (a simulated board is ahead of its host by many), and a stage that held still before the command looks like one that has obeyed.
+    fn until(
+        &mut self,
+        tick: u64,
+        what: &str,
+        seconds: f64,
+        done: impl Fn(&Sample) -> bool,
+    ) -> Result<()> {
+        let begin = tick.max(self.now()?) + self.ticks(0.02);
         loop {
             self.pump()?;
             let now = self.now()?;
-            if now > start + settle && self.last.as_ref().is_some_and(&done) {
+            if now > begin && self.last.as_ref().is_some_and(&done) {
                 return Ok(());
             }
-            if now > start + self.ticks(seconds) {
+            if now > begin + self.ticks(seconds) {
                 let state = self.last.map_or("?", |s| state(&s).name());
                 return Err(Error::Invalid(format!(
                     "waited {seconds} s for {what}, the controller is in state `{state}`"
                 )));
             }
         }
+    }
+
+    /// Send a command; the tick from which it acts.
+    fn order(&mut self, command: Command) -> Result<u64> {
+        let now = self.now()?;
+        let Reply::Done { tick } = self.device.command(command)? else {
+            return Err(Error::Invalid(
+                "the board did not say when the command takes effect".into(),
+            ));
+        };
+        // Acknowledgements carry the lower half of the tick; the stream is never half a wrap behind.
+        let late = u64::from(tick).wrapping_sub(now) & u64::from(u32::MAX);
+        Ok(now.saturating_add_signed(i64::from(late as u32 as i32)))
     }
 
     /// Start waveforms together; the tick at which they begin.
@@ -343,17 +365,10 @@ impl Runner<'_> {
             self.device.command(Command::Stage { axis: *axis as u8, generator })?;
             mask |= 1 << axis;
         }
-        let now = self.now()?;
         if mask == 0 {
-            return Ok(now + 1);
+            return Ok(self.now()? + 1);
         }
-        let Reply::Done { tick } = self.device.command(Command::Start { axes: mask })? else {
-            return Err(Error::Invalid("the board did not say when the waveform starts".into()));
-        };
-        // Acknowledgements carry the lower half of the tick; the stream is never half a wrap behind.
-        let late = (u64::from(tick)).wrapping_sub(now) & u64::from(u32::MAX);
-        let signed = late as u32 as i32;
-        Ok(now.saturating_add_signed(i64::from(signed)))
+        self.order(Command::Start { axes: mask })
     }
 
     fn arm(&mut self) -> Result<()> {
@@ -361,14 +376,14 @@ impl Runner<'_> {
         if self.last.is_some_and(|s| matches!(state(&s), State::Hold | State::Run)) {
             return Ok(());
         }
-        self.until("the drives to be parked", REST_S, |s| Flags(s.flags).is_parked())?;
-        self.device.command(Command::Arm)?;
-        self.until("arming to complete", REST_S, |s| state(s) == State::Hold)
+        self.until(0, "the drives to be parked", REST_S, |s| Flags(s.flags).is_parked())?;
+        let tick = self.order(Command::Arm)?;
+        self.until(tick, "arming to complete", REST_S, |s| state(s) == State::Hold)
     }
 
     fn disarm(&mut self) -> Result<()> {
-        self.device.command(Command::Disarm)?;
-        self.until("the drives to be parked", REST_S, |s| Flags(s.flags).is_parked())
+        let tick = self.order(Command::Disarm)?;
+        self.until(tick, "the drives to be parked", REST_S, |s| Flags(s.flags).is_parked())
     }
 
     /// Tables are exchanged while the loop is open.
