@@ -15,7 +15,7 @@ use crate::locate;
 use crate::picture;
 use crate::scene::{Channel, Scene, Stack, TOLERANCE, Wanted};
 use crate::split::split;
-use crate::{Error, Options, intake, slow};
+use crate::{Error, Options, intake, past, slow};
 
 /// What `flexstage diagnose` writes.
 pub struct Outcome {
@@ -98,6 +98,7 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
     let ranges = crate::guess::ranges(&scene, rig, &nominal.raw)?;
     let mut found: Option<Found> = None;
     if gaps.iter().any(|g| g.counts) {
+        past::tell(&mut scene, rig, &effects, &ranges)?;
         bar.set_message("screening the catalogue");
         found = found::search(&scene, rig, &effects, &ranges, &bar, gaps)?;
         let missed = match &found {
@@ -152,7 +153,7 @@ fn answer(
     scene: &Scene,
     nominal: &Nominal,
     found: Option<Found>,
-    notes: Vec<String>,
+    mut notes: Vec<String>,
 ) -> Result<Outcome, Error> {
     let Nominal { raw: raw_before, cuts, electrical, gaps } = nominal;
     let axes = rig.axes.len();

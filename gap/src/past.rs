@@ -1,4 +1,4 @@
-//! What each stack went through before a recording, as far as the session tells: slow strains run on from file to file.
+//! What each stack went through before a recording, as far as the session tells: slow strains may run on from file to file.
 //!
 //! A hold of a minute goes on creeping back through the next ten files. The session's clock (`start_s`) says when each file
 //! began; between files the drives are at 0 V.
@@ -8,7 +8,12 @@ use std::sync::Arc;
 use host_sim::Stretch;
 use host_sim::rig::Rig;
 
+use crate::Error;
+use crate::guess::Ranges;
 use crate::intake::Track;
+use crate::knobs::EffectRef;
+use crate::scene::{Channel, Scene};
+use crate::select::Search;
 
 /// Growth of the stretches with their age: what is long gone acts through its mean.
 const GROWTH: f64 = 1.06;
@@ -59,6 +64,31 @@ pub(crate) fn remember(rig: &Rig, tracks: &mut [Track]) {
             .collect::<Vec<Arc<[Stretch]>>>();
         tracks[index].past = past;
     }
+}
+
+/// Whether creep runs on from file to file here, or every file begins with a stack that was given time to rest: what suits the
+/// recordings better. Without creep it does not matter.
+pub(crate) fn tell(
+    scene: &mut Scene,
+    rig: &Rig,
+    effects: &[EffectRef],
+    ranges: &Ranges,
+) -> Result<(), Error> {
+    let creep: Vec<EffectRef> =
+        effects.iter().copied().filter(|e| e.info().name == "creep").collect();
+    if creep.is_empty() || scene.tracks.iter().all(|track| track.past.is_empty()) {
+        return Ok(());
+    }
+    let left = |scene: &Scene| -> Result<f64, Error> {
+        let fitted = |c: &Channel| !c.held_out;
+        let tick = || {};
+        let model = Search::new(scene, rig, &creep, ranges, &fitted, &tick)?.run()?;
+        Ok(model.map_or(f64::INFINITY, |m| m.fit.cost))
+    };
+    let running_on = left(scene)?;
+    scene.runs_on = false;
+    scene.runs_on = running_on <= left(scene)?;
+    Ok(())
 }
 
 fn end_s(track: &Track) -> f64 {

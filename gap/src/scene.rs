@@ -67,6 +67,8 @@ pub struct Scene {
     pub position_noise: Vec<Option<Noise>>,
     /// Monitor noise of each axis.
     pub monitor_noise: Vec<Option<Noise>>,
+    /// Slow strains of one recording are still there in the next.
+    pub runs_on: bool,
 }
 
 /// What a simulation is wanted for.
@@ -115,7 +117,7 @@ impl Scene {
                 }
             }
         }
-        Self { tracks: Arc::new(tracks), channels, position_noise, monitor_noise }
+        Self { tracks: Arc::new(tracks), channels, position_noise, monitor_noise, runs_on: true }
     }
 
     /// Simulate one recording, from these states of its axes (none: depoled) and with what went before.
@@ -129,11 +131,11 @@ impl Scene {
         let track = &self.tracks[track];
         let drive: Vec<&[f64]> = track.drive_v.iter().map(Vec::as_slice).collect();
         let mut initial = initial.to_vec();
-        if !track.past.is_empty() {
+        if self.runs_on && !track.past.is_empty() {
             initial.resize(track.past.len(), Initial::default());
-        }
-        for (state, past) in initial.iter_mut().zip(&track.past) {
-            state.past = Some(past.clone());
+            for (state, past) in initial.iter_mut().zip(&track.past) {
+                state.past = Some(past.clone());
+            }
         }
         let input = Input {
             sample_rate_hz: track.rate_hz,
