@@ -217,6 +217,15 @@ fn answer(
     } else {
         None
     };
+    let past_known = scene.tracks.iter().any(|t| !t.past.is_empty());
+    if past_known && causes.iter().any(|c| c.effect == "creep") {
+        let what = if scene.runs_on {
+            "Creep runs on from one recording to the next here; a replay of a single file starts without it."
+        } else {
+            "Every recording begins with a stack that no longer creeps from the one before."
+        };
+        notes.push(what.into());
+    }
     let diagnosis =
         Diagnosis { verdict, gap, location, causes, next_experiment, recordings, band, notes };
     let cuts_after = locate::cuts(scene, &raw_after, &white_after);

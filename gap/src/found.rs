@@ -103,6 +103,9 @@ pub(crate) fn refit(
     Ok(Model { terms, fit, ranges: ranges.clone() })
 }
 
+/// Share of the whole gap.
+const NEARLY_ALL: f64 = 0.85;
+
 /// Axes that `model` leaves open are searched again, each by itself: what is loud and unknown on one axis must not hide what is
 /// quiet and known on another. Causes found that way join those of the other axes.
 fn by_axis(
@@ -120,8 +123,19 @@ fn by_axis(
         Ok(accept::closed_by_axis(&Energies::new(scene, &raw, &after, &everything), axes))
     };
     let by_axis = closed(model.as_ref().map_or(rig, |m| &m.fit.rig))?;
+    // An axis that holds nearly all of the gap was searched by itself already.
+    let alone = |axis: usize| {
+        let own: Stack = search
+            .base
+            .iter()
+            .zip(&scene.channels)
+            .map(|(row, c)| row.clone().filter(|_| c.axis == axis))
+            .collect();
+        cost(&own) - noise_cost(scene, &own) > NEARLY_ALL * search.gap
+    };
     let open: Vec<usize> = (0..axes)
         .filter(|&a| gaps[a].counts && by_axis[a].is_some_and(|c| !accept::names(c)))
+        .filter(|&a| !alone(a))
         .collect();
     if open.is_empty() || gaps.iter().filter(|g| g.counts).count() < 2 {
         return Ok(model);
