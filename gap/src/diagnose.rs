@@ -14,7 +14,7 @@ use crate::knobs::EffectRef;
 use crate::locate;
 use crate::picture;
 use crate::scene::{Channel, Scene, Stack, TOLERANCE, Wanted};
-use crate::split::split;
+use crate::split::{hold_out_last_third, split};
 use crate::{Error, Options, intake, past, slow};
 
 /// What `flexstage diagnose` writes.
@@ -77,7 +77,25 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
     scene.set_aside_memory(rig)?;
     let everything = |_: &Channel| true;
     // Weights of noise alone first: they tell how large the gap is in each band.
-    let white = scene.residuals(&[(rig, Wanted::ALL)], everything)?.remove(0);
+    let mut white = scene.residuals(&[(rig, Wanted::ALL)], everything)?.remove(0);
+    let mut by_blocks = false;
+    let gapped = found::with_gap(&scene, &white, |_| true);
+    if !gapped.is_empty() && found::with_gap(&scene, &white, |c| c.held_out).is_empty() {
+        // What is held out must be able to contradict.
+        if let [_, _, ..] = gapped[..] {
+            let of_quietest = |c: &&mut Channel| c.track == gapped[0];
+            scene.channels.iter_mut().filter(of_quietest).for_each(|c| c.held_out = true);
+        } else if scene.channels.iter().any(|c| c.held_out && c.track != gapped[0]) {
+            by_blocks = true;
+            hold_out_last_third(&mut scene);
+            scene.set_aside_memory(rig)?;
+            white = scene.residuals(&[(rig, Wanted::ALL)], everything)?.remove(0);
+            notes.push(format!(
+                "The gap shows in {} alone: the last third of every recording was held out instead of whole recordings.",
+                scene.tracks[gapped[0]].file
+            ));
+        }
+    }
     let raw = scene.raw(rig, everything)?;
     let cuts = locate::cuts(&scene, &raw, &white);
     let electrical = locate::electrical(&scene, &white);
@@ -104,9 +122,9 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
         let missed = match &found {
             Some(f) => f.missed.clone(),
             // Nothing found in the fitted ones: the gap may be in the others alone.
-            None => found::held_out_with_gap(&scene, &white),
+            None => found::with_gap(&scene, &white, |c| c.held_out),
         };
-        if !missed.is_empty() && scene.tracks.len() >= 3 {
+        if !missed.is_empty() && scene.tracks.len() >= 3 && !by_blocks {
             bar.set_message("looking again with other recordings");
             let first = scene.clone();
             split(&mut scene, &missed);

@@ -1,6 +1,8 @@
 //! What a search found: chosen, checked on other recordings, searched again where it left axes open, and taken back where it does
 //! not account for enough.
 
+use std::collections::BTreeMap;
+
 use host_sim::rig::Rig;
 use indicatif::ProgressBar;
 
@@ -200,23 +202,26 @@ fn missed(scene: &Scene, rig: &Rig, model: &Model) -> Result<Vec<usize>, Error> 
     Ok(missed)
 }
 
-/// Held-out recordings with a gap of their own.
-pub(crate) fn held_out_with_gap(scene: &Scene, nominal: &Stack) -> Vec<usize> {
-    let mut tracks: Vec<usize> = scene
-        .channels
-        .iter()
-        .enumerate()
-        .filter(|(c, channel)| {
-            channel.held_out
-                && nominal[*c]
-                    .as_ref()
-                    .is_some_and(|row| channel.excess(row) > 0.1 * row.len() as f64)
-        })
-        .map(|(_, channel)| channel.track)
-        .collect();
-    tracks.sort_unstable();
-    tracks.dedup();
-    tracks
+/// Recordings with a gap of their own in the channels asked for, none of them next to nothing beside another, the one with the
+/// smallest gap first.
+pub(crate) fn with_gap(
+    scene: &Scene,
+    nominal: &Stack,
+    include: impl Fn(&Channel) -> bool,
+) -> Vec<usize> {
+    let mut sizes: BTreeMap<usize, f64> = BTreeMap::new();
+    for (channel, row) in scene.channels.iter().zip(nominal) {
+        let Some(row) = row.as_ref().filter(|_| include(channel)) else { continue };
+        let excess = channel.excess(row);
+        if excess > 0.1 * row.len() as f64 {
+            *sizes.entry(channel.track).or_default() += excess;
+        }
+    }
+    let largest = sizes.values().copied().fold(0.0, f64::max);
+    let mut tracks: Vec<(usize, f64)> =
+        sizes.into_iter().filter(|(_, size)| *size > 0.02 * largest).collect();
+    tracks.sort_by(|a, b| a.1.total_cmp(&b.1));
+    tracks.into_iter().map(|(track, _)| track).collect()
 }
 
 /// Take back causes on axes that stay mostly open: they are proxies of something that is not in the catalogue.
