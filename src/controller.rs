@@ -3,56 +3,15 @@
 //! A tick is called once every 0.1 ms with the codes sampled at that instant. The DAC codes of its record are latched by
 //! the next trigger: the drive acts one period after the sample, for one period, whatever the interrupt's jitter.
 
-use crate::config::{AxisConfig, Config};
-use crate::feedback::FeedbackState;
-use crate::feedforward::FeedforwardState;
+use crate::config::Config;
 use crate::generator::Table;
-use crate::guard::{Command, Refusal, Seen, WatchState};
-use crate::record::{Faults, Flags, Limits, Record, Sample, State};
-use crate::trajectory::{Motion, Trajectory};
-use crate::units::{Um, Volt};
-use crate::{AXES, MAX_CREEP, creep};
+use crate::guard::{Command, Refusal};
+use crate::record::{AxisRecord, Faults, Flags, Limits, Record, Sample, State};
+use crate::units::{Gain, Um};
+use crate::{AXES, creep};
 
-/// State of one axis.
-#[derive(Clone, Copy, Debug)]
-struct Axis {
-    trajectory: Trajectory,
-    feedforward: FeedforwardState,
-    feedback: FeedbackState,
-    watch: WatchState,
-    /// Motion two ticks ahead, and where the next two axes (in cyclic order) will be.
-    motion: Motion,
-    others: [Um; 2],
-    position: Um,
-    monitor: Volt,
-    /// Commanded in the tick before: acts now.
-    drive: Volt,
-    /// What the limits took off it.
-    excess: Volt,
-    /// Step that a change of state or configuration would have made; fades out.
-    bump: Volt,
-    /// Rounding error of the last DAC code, in 2^-16 codes.
-    dac_error: i32,
-    limits: Limits,
-}
-
-impl Axis {
-    const REST: Self = Self {
-        trajectory: Trajectory::at(Um::ZERO),
-        feedforward: FeedforwardState::REST,
-        feedback: FeedbackState::REST,
-        watch: WatchState::REST,
-        motion: Motion::REST,
-        others: [Um::ZERO; 2],
-        position: Um::ZERO,
-        monitor: Volt::ZERO,
-        drive: Volt::ZERO,
-        excess: Volt::ZERO,
-        bump: Volt::ZERO,
-        dac_error: 0,
-        limits: Limits::NONE,
-    };
-}
+mod axis;
+use axis::{Axis, Shared};
 
 /// State of the controller. Holds no configuration.
 #[derive(Clone, Debug)]
@@ -116,7 +75,8 @@ impl Controller {
     }
 
     /// Take a command; it acts from the next tick on. Call it where [`Controller::tick`] is called, before it.
-    #[inline(always)]
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
     pub fn command(&mut self, config: &Config, command: Command) -> Result<(), Refusal> {
         self.silence = 0;
         match command {
@@ -235,79 +195,112 @@ impl Controller {
         record: &mut Record,
     ) {
         let table = table.into();
-        self.measure(config, sample);
         self.guard(config, sample);
         let swapped = self.digest != config.digest;
         self.digest = config.digest;
-        if self.state.is_active() {
-            self.control(config, table, swapped);
+        record.tick = self.tick;
+        self.tick = self.tick.wrapping_add(1);
+        let is_active = self.state.is_active();
+        let limits = if is_active {
+            self.control(config, table, swapped, &mut record.axes)
         } else {
-            self.retreat(config);
-        }
-        self.record(config, swapped, record);
+            self.retreat(config, &mut record.axes);
+            Limits::NONE
+        };
+        record.flags = Flags(
+            self.state as u32
+                | if self.parked && !is_active { Flags::PARKED } else { 0 }
+                | if swapped { Flags::SWAPPED } else { 0 }
+                | (limits.to_bits() as u32) << 8
+                | (self.faults.to_bits() as u32 & 0x1fff) << 16
+                | self.faulted_axes << 29,
+        );
     }
 
-    /// Codes to quantities.
-    #[inline(always)]
-    fn measure(&mut self, config: &Config, sample: &Sample) {
-        for (((axis, settings), gauge), monitor) in
-            self.axes.iter_mut().zip(&config.axes).zip(&sample.gauge).zip(&sample.monitor)
-        {
-            axis.position = Um::from_bits(settings.gauge.value(*gauge));
-            axis.monitor = Volt::from_bits(settings.monitor.value(*monitor));
-        }
-        if let Some(map) = &config.gauge_map {
-            let [a, b, c] = &mut self.axes;
-            let gauges = [a.position, b.position, c.position];
-            let [map_a, map_b, map_c] = map;
-            a.position = row(map_a, gauges);
-            b.position = row(map_b, gauges);
-            c.position = row(map_c, gauges);
-        }
-    }
-
-    /// Look for faults and move the state machine.
+    /// Codes to quantities, and whether to believe them: look for faults and move the state machine.
     #[inline(always)]
     fn guard(&mut self, config: &Config, sample: &Sample) {
-        let active = self.state.is_active();
-        let mut faults = Faults::NONE;
-        let mut faulted_axes = 0;
-        let mut bit = 1;
-        for ((axis, settings), code) in self.axes.iter_mut().zip(&config.axes).zip(&sample.gauge) {
-            let seen = Seen {
-                code: *code,
-                position: axis.position,
-                // On the tick that closes the loop there is no reference yet.
-                reference: if self.closing { axis.position } else { axis.trajectory.now() },
-                drive: axis.drive,
-                monitor: axis.monitor,
-                active,
-            };
-            let found = axis.watch.step(&settings.watch, seen);
-            if !found.is_empty() {
-                faulted_axes |= bit;
+        let is_well = match &config.gauge_map {
+            None => {
+                let [a, b, c] = &mut self.axes;
+                let [of_a, of_b, of_c] = &config.axes;
+                let ([code_a, code_b, code_c], [volt_a, volt_b, volt_c]) =
+                    (&sample.gauge, &sample.monitor);
+                // Not `&&`: each has to look.
+                a.observe(of_a, *code_a, *volt_a)
+                    & b.observe(of_b, *code_b, *volt_b)
+                    & c.observe(of_c, *code_c, *volt_c)
             }
+            Some(map) => self.observe_mapped(config, map, sample),
+        };
+        self.silence = self.silence.saturating_add(1);
+        let timeout = config.guard.timeout_ticks;
+        let is_silent = timeout != 0 && self.silence > timeout;
+        if is_well && !is_silent && !sample.overrun {
+            self.gauge_faults = Faults::NONE;
+        } else {
+            self.examine(config, sample, is_silent);
+        }
+    }
+
+    /// As the usual way in [`Controller::guard`], where each position is a sum of gauges.
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
+    fn observe_mapped(
+        &mut self,
+        config: &Config,
+        map: &[[Gain<Um, Um>; AXES]; AXES],
+        sample: &Sample,
+    ) -> bool {
+        for (((axis, settings), code), volt) in
+            self.axes.iter_mut().zip(&config.axes).zip(&sample.gauge).zip(&sample.monitor)
+        {
+            axis.measure(settings, *code, *volt);
+        }
+        let [a, b, c] = &self.axes;
+        let gauges = [a.position, b.position, c.position];
+        let mut is_well = true;
+        for (((axis, settings), code), of_axis) in
+            self.axes.iter_mut().zip(&config.axes).zip(&sample.gauge).zip(map)
+        {
+            axis.position = row(of_axis, gauges);
+            is_well &= axis.is_well(settings, *code);
+        }
+        is_well
+    }
+
+    /// Something is not as it should be, or was not a moment ago: look closer, and trip.
+    #[cold]
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
+    fn examine(&mut self, config: &Config, sample: &Sample, is_silent: bool) {
+        let active = self.state.is_active();
+        let (mut faults, mut faulted_axes, mut bit) = (Faults::NONE, 0, 1);
+        for ((axis, settings), code) in self.axes.iter_mut().zip(&config.axes).zip(&sample.gauge) {
+            let found = axis.examine(settings, *code, active);
+            faulted_axes |= if found.is_empty() { 0 } else { bit };
             faults = faults.with(found);
             bit <<= 1;
         }
         self.gauge_faults = faults;
-        if !active {
-            return;
-        }
-        self.silence = self.silence.saturating_add(1);
-        let timeout = config.guard.timeout_ticks;
         faults = faults
             .with(Faults::OVERRUN.when(sample.overrun))
-            .with(Faults::COMMAND_TIMEOUT.when(timeout != 0 && self.silence > timeout));
-        if !faults.is_empty() {
+            .with(Faults::COMMAND_TIMEOUT.when(is_silent));
+        if active && !faults.is_empty() {
             self.faulted_axes |= faulted_axes;
             self.trip(faults);
         }
     }
 
-    /// The control law of all axes.
+    /// The control law of all axes. Returns their limits together.
     #[inline(always)]
-    fn control(&mut self, config: &Config, table: Option<&Table>, swapped: bool) {
+    fn control(
+        &mut self,
+        config: &Config,
+        table: Option<&Table>,
+        swapped: bool,
+        records: &mut [AxisRecord; AXES],
+    ) -> Limits {
         let closing = self.closing;
         self.closing = false;
         let rebase = swapped || closing;
@@ -317,7 +310,6 @@ impl Controller {
                 if closing { config.guard.arming_step } else { config.guard.transition_step };
         }
         self.bump_weight = self.bump_weight.saturating_sub(self.bump_step);
-        let weight = self.bump_weight >> 1;
 
         let mut moving = false;
         for (axis, settings) in self.axes.iter_mut().zip(&config.axes) {
@@ -335,11 +327,25 @@ impl Controller {
         // Creep: in 100 ticks every element of every axis has its turn; the axes take turns too.
         self.creep_clock =
             if self.creep_clock >= creep::DIVIDER - 1 { 0 } else { self.creep_clock + 1 };
-        let mut creep_slot = self.creep_clock as usize;
-        for (axis, settings) in self.axes.iter_mut().zip(&config.axes) {
-            axis.control(settings, creep_slot, rebase, weight);
-            creep_slot = creep_slot.wrapping_sub(MAX_CREEP);
+        let mut shared =
+            Shared { creep_slot: self.creep_clock as usize, weight: self.bump_weight >> 1 };
+        let [a, b, c] = &mut self.axes;
+        let [of_a, of_b, of_c] = &config.axes;
+        let [out_a, out_b, out_c] = records;
+        if rebase {
+            a.control::<true>(of_a, &shared, out_a);
+            shared.next();
+            b.control::<true>(of_b, &shared, out_b);
+            shared.next();
+            c.control::<true>(of_c, &shared, out_c);
+        } else {
+            a.control::<false>(of_a, &shared, out_a);
+            shared.next();
+            b.control::<false>(of_b, &shared, out_b);
+            shared.next();
+            c.control::<false>(of_c, &shared, out_c);
         }
+        a.limits.with(b.limits).with(c.limits)
     }
 
     /// Tell each axis where the others will be.
@@ -370,115 +376,19 @@ impl Controller {
 
     /// Bring every drive back to the safe voltage.
     #[inline(always)]
-    fn retreat(&mut self, config: &Config) {
-        let guard = &config.guard;
+    fn retreat(&mut self, config: &Config, records: &mut [AxisRecord; AXES]) {
         let mut parked = true;
-        for axis in &mut self.axes {
-            let safe = guard.safe;
-            let next = safe.limit(axis.drive - guard.return_step, axis.drive + guard.return_step);
-            axis.drive = next;
-            axis.limits = Limits::NONE;
-            parked &= next == safe;
-            axis.trajectory.reset(axis.position);
+        for ((axis, settings), out) in self.axes.iter_mut().zip(&config.axes).zip(records) {
+            parked &= axis.retreat(settings, &config.guard, out);
         }
         self.parked = parked;
         self.closing = false;
-    }
-
-    #[inline(always)]
-    fn record(&mut self, config: &Config, swapped: bool, record: &mut Record) {
-        record.tick = self.tick;
-        self.tick = self.tick.wrapping_add(1);
-        let mut limits = Limits::NONE;
-        for ((axis, settings), out) in self.axes.iter_mut().zip(&config.axes).zip(&mut record.axes)
-        {
-            limits = limits.with(axis.limits);
-            out.reference = axis.trajectory.now();
-            out.position = axis.position;
-            out.drive = axis.drive;
-            out.monitor = axis.monitor;
-            out.dac = settings.dac.code(axis.drive, &mut axis.dac_error);
-        }
-        let parked = self.parked && !self.state.is_active();
-        record.flags = Flags(
-            self.state as u32
-                | if parked { Flags::PARKED } else { 0 }
-                | if swapped { Flags::SWAPPED } else { 0 }
-                | (limits.to_bits() as u32) << 8
-                | (self.faults.to_bits() as u32 & 0x1fff) << 16
-                | self.faulted_axes << 29,
-        );
-    }
-}
-
-impl Axis {
-    /// Where the reference goes. On the tick that closes the loop it starts where the stage is, and nothing is remembered.
-    #[inline(always)]
-    fn lead(&mut self, config: &AxisConfig, table: Option<&Table>, closing: bool) {
-        if closing {
-            self.trajectory.reset(self.position);
-            self.feedforward.reset();
-            self.feedback.reset();
-            self.excess = Volt::ZERO;
-        }
-        let [low, high] = config.travel;
-        self.motion = self.trajectory.step(table, low, high);
-    }
-
-    /// Drive of one axis. `weight`: of what is left of the last bump, Q0.31.
-    #[inline(always)]
-    fn control(&mut self, config: &AxisConfig, creep_slot: usize, rebase: bool, weight: u32) {
-        let forward = if self.trajectory.is_asleep() && !rebase && config.feedforward.can_rest() {
-            config.feedforward.rest(&self.feedforward)
-        } else {
-            config.feedforward.step(
-                &mut self.feedforward,
-                self.motion,
-                self.others,
-                creep_slot,
-                rebase,
-            )
-        };
-        let (back, integral_at_limit) = config.feedback.step(
-            &mut self.feedback,
-            self.trajectory.now(),
-            self.trajectory.last_change(),
-            self.position,
-            self.excess,
-            rebase,
-        );
-        let wanted = forward + back;
-        if rebase {
-            self.bump = self.drive - wanted;
-        }
-        let wanted = if weight == 0 {
-            wanted
-        } else {
-            let bump = (self.bump.to_bits() as i64).wrapping_mul(weight as i64) >> 31;
-            wanted + Volt::from_bits(bump as i32)
-        };
-
-        let [low, high] = config.drive;
-        let in_range = wanted.limit(low, high);
-        let next = in_range.limit(self.drive - config.slew, self.drive + config.slew);
-        self.excess = wanted - next;
-        let mut limits = Limits::TRAVEL
-            .when(self.trajectory.is_clipped())
-            .with(Limits::INTEGRAL.when(integral_at_limit));
-        if next != wanted {
-            limits = limits
-                .with(Limits::VOLTAGE_HIGH.when(wanted > high))
-                .with(Limits::VOLTAGE_LOW.when(wanted < low))
-                .with(Limits::SLEW.when(next != in_range));
-        }
-        self.limits = limits;
-        self.drive = next;
     }
 }
 
 /// One row of a matrix times the gauges.
 #[inline(always)]
-fn row(row: &[crate::units::Gain<Um, Um>; AXES], gauges: [Um; AXES]) -> Um {
+fn row(row: &[Gain<Um, Um>; AXES], gauges: [Um; AXES]) -> Um {
     let [a, b, c] = *row;
     let [x, y, z] = gauges;
     (a * x + b * y + c * z).narrow()

@@ -44,7 +44,8 @@ impl CreepState {
     }
 
     /// Update element `slot`, if there is one, for the present elastic displacement.
-    #[inline(always)]
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
     pub fn step(&mut self, elements: &[Creep], slot: usize, elastic: Um) {
         if let (Some(state), Some(element)) = (self.elements.get_mut(slot), elements.get(slot)) {
             let distance = (element.gain * elastic - *state).to_bits();

@@ -105,10 +105,8 @@ impl Feedforward {
             stack += state.hysteresis.step(&self.maxwell, charge);
         }
         // With new coefficients the stack's voltage is another one; it goes on changing as before.
-        if !rebase {
-            state.change = stack - state.stack;
-        }
-        let change = state.change;
+        let change = if rebase { state.change } else { stack - state.stack };
+        state.change = change;
         state.stack = stack;
         if self.lead.is_zero() { stack } else { stack + (self.lead * change).narrow() }
     }

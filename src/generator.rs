@@ -343,8 +343,17 @@ impl Generator {
     #[inline(always)]
     pub(crate) fn wave(&self, table: Option<&Table>, phase: u32) -> i32 {
         match self.shape {
-            Shape::Stop | Shape::Go { .. } => 0,
             Shape::Sine | Shape::Sweep { .. } => sin_q30(phase),
+            _ => self.other_wave(table, phase),
+        }
+    }
+
+    /// All but the sine, which then needs no memory on the stack.
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
+    fn other_wave(&self, table: Option<&Table>, phase: u32) -> i32 {
+        match self.shape {
+            Shape::Stop | Shape::Go { .. } | Shape::Sine | Shape::Sweep { .. } => 0,
             Shape::Triangle => triangle_q30(phase),
             Shape::Square { steepness } => {
                 let steep = (triangle_q30(phase) as i64 * steepness as i64) >> 16;

@@ -114,8 +114,8 @@ pub struct WatchState {
     code: i32,
     code_drive: Volt,
     position: Um,
-    /// Some counter is not zero.
-    counting: bool,
+    /// Negative: some counter is not zero.
+    counting: i32,
 }
 
 /// What a watch looks at in one tick.
@@ -127,7 +127,6 @@ pub(crate) struct Seen {
     /// Drive that acts now.
     pub(crate) drive: Volt,
     pub(crate) monitor: Volt,
-    pub(crate) active: bool,
 }
 
 /// Count up while a condition lasts, and say whether it has lasted for `ticks` (0 = never).
@@ -148,47 +147,57 @@ impl WatchState {
         code: i32::MIN,
         code_drive: Volt::ZERO,
         position: Um::ZERO,
-        counting: false,
+        counting: 0,
     };
 
-    /// One tick. Faults of the gauge are found in every state, the others only while the loop is closed.
-    ///
-    /// As a rule nothing is wrong and nothing was: then a tick compares and remembers, and counts nothing. Each condition is a
-    /// margin, negative beyond its limit, so that one test of the sign of all of them together is enough.
+    /// Whether nothing is wrong and nothing was: as a rule. Then a tick compares and remembers, and counts nothing. Each condition is a
+    /// margin, negative beyond its limit, so that one test of the sign of all of them together is enough. If not all is well, nothing
+    /// is remembered: [`WatchState::examine`] does.
     #[inline(always)]
-    pub(crate) fn step(&mut self, watch: &Watch, seen: Seen) -> Faults {
-        let code_before = self.code;
-        let railed = seen.code.saturating_sub(1) | watch.last_code.saturating_sub(seen.code);
-        let jump = margin(seen.position - self.position, watch.max_step);
+    pub(crate) fn is_well(&mut self, watch: &Watch, seen: Seen) -> bool {
+        let margins = Margins::of(self, watch, seen);
+        if margins.all() | self.counting < 0 {
+            return false;
+        }
+        self.remember(seen);
+        true
+    }
+
+    #[inline(always)]
+    fn remember(&mut self, seen: Seen) {
         self.position = seen.position;
-        if seen.code != code_before || !seen.active {
+        if seen.code != self.code {
             self.code = seen.code;
             self.code_drive = seen.drive;
         }
-        let stuck = margin(seen.drive - self.code_drive, watch.stuck_drive);
-        let [low, high] = watch.travel;
-        let outside = (seen.position - low).to_bits() | (high - seen.position).to_bits();
-        let lost = margin(seen.reference - seen.position, watch.following);
-        let unlike = margin(seen.monitor - seen.drive, watch.monitor);
-        let closed = if seen.active { outside | lost | unlike } else { 0 };
-        if railed | jump | stuck | closed >= 0 && !self.counting {
-            return Faults::NONE;
-        }
-        self.count(
-            watch,
-            Wrong {
-                railed: railed < 0,
-                // There is nothing to jump from at the first sample.
-                jump: jump < 0 && code_before != i32::MIN,
-                stuck: stuck < 0,
-                outside: seen.active && outside < 0,
-                lost: seen.active && lost < 0,
-                unlike: seen.active && unlike < 0,
-            },
-        )
     }
 
-    /// Counts how long what is wrong has lasted.
+    /// The loop is open and the drive goes its own way: a gauge that does not answer is not stuck.
+    #[inline(always)]
+    pub(crate) fn rest(&mut self, drive: Volt) {
+        self.code_drive = drive;
+    }
+
+    /// Counts how long what is wrong has lasted. Faults of the gauge are found in every state, the others only while the loop is closed.
+    /// Seldom, so out of the way.
+    #[cold]
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
+    pub(crate) fn examine(&mut self, watch: &Watch, seen: Seen, active: bool) -> Faults {
+        let m = Margins::of(self, watch, seen);
+        let wrong = Wrong {
+            railed: m.railed < 0,
+            // There is nothing to jump from at the first sample.
+            jump: m.jump < 0 && self.code != i32::MIN,
+            stuck: m.stuck < 0,
+            outside: active && m.outside < 0,
+            lost: active && m.lost < 0,
+            unlike: active && m.unlike < 0,
+        };
+        self.remember(seen);
+        self.count(watch, wrong)
+    }
+
     #[inline(always)]
     fn count(&mut self, watch: &Watch, wrong: Wrong) -> Faults {
         let mut faults =
@@ -215,10 +224,46 @@ impl WatchState {
                 wrong.unlike,
                 watch.monitor_ticks,
             )));
-        self.counting = self.jumping != 0
+        let counting = self.jumping != 0
             || self.railed | self.outside | self.following | self.monitor != 0
             || wrong.stuck;
+        self.counting = -i32::from(counting);
         faults
+    }
+}
+
+/// Distances from the limits, negative beyond them.
+struct Margins {
+    railed: i32,
+    jump: i32,
+    stuck: i32,
+    outside: i32,
+    lost: i32,
+    unlike: i32,
+}
+
+impl Margins {
+    #[inline(always)]
+    fn of(state: &WatchState, watch: &Watch, seen: Seen) -> Self {
+        let [low, high] = watch.travel;
+        // A code that is new speaks for itself.
+        let moved =
+            if seen.code == state.code { seen.drive - state.code_drive } else { Volt::ZERO };
+        Self {
+            // Of the codes that wrap, one side or the other is negative all the same.
+            railed: seen.code.wrapping_sub(1) | watch.last_code.wrapping_sub(seen.code),
+            jump: margin(seen.position - state.position, watch.max_step),
+            stuck: margin(moved, watch.stuck_drive),
+            outside: (seen.position - low).to_bits() | (high - seen.position).to_bits(),
+            lost: margin(seen.reference - seen.position, watch.following),
+            unlike: margin(seen.monitor - seen.drive, watch.monitor),
+        }
+    }
+
+    /// Negative if one of them is.
+    #[inline(always)]
+    fn all(&self) -> i32 {
+        self.railed | self.jump | self.stuck | self.outside | self.lost | self.unlike
     }
 }
 

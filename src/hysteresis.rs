@@ -25,12 +25,13 @@ pub struct Maxwell {
 /// Where the elements stand.
 #[derive(Clone, Copy, Debug)]
 pub struct HysteresisState {
-    charge: MicroCoulomb,
-    is_rising: bool,
+    /// The charge, and the charge at which the next element slips, [mirrored](mirror) while the charge falls: both directions are then
+    /// one comparison.
+    last: i32,
+    end: i32,
+    falling: bool,
     /// Elements that slip: the first ones.
     slipping: usize,
-    /// Charge at which the next one slips.
-    end: MicroCoulomb,
     /// The line: voltage = slope * charge + offset.
     slope: Gain<MicroCoulomb, Volt>,
     offset: Wide<Volt>,
@@ -40,13 +41,19 @@ pub struct HysteresisState {
     known: usize,
 }
 
+/// The bits of a charge, all inverted if it falls: the order of charges is then the other way round, and nothing can overflow.
+#[inline(always)]
+const fn mirror(charge: MicroCoulomb, falling: bool) -> i32 {
+    charge.to_bits() ^ -(falling as i32)
+}
+
 impl HysteresisState {
     /// Relaxed: a stack that was never driven, or was demagnetised. [`HysteresisState::rebase`] comes before the first step.
     pub const RELAXED: Self = Self {
-        charge: MicroCoulomb::ZERO,
-        is_rising: true,
+        last: 0,
+        end: i32::MAX,
+        falling: false,
         slipping: 0,
-        end: MicroCoulomb::MAX,
         slope: Gain::ZERO,
         offset: Wide::ZERO,
         places: [MicroCoulomb::ZERO; MAX_MAXWELL],
@@ -60,86 +67,111 @@ impl HysteresisState {
     }
 
     /// Takes `charge` as the present one, and `elements` as the elements, without making one slip that did not before.
-    #[inline(always)]
+    #[cold]
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
     pub fn rebase(&mut self, elements: &[Maxwell], charge: MicroCoulomb) {
-        (self.slope, self.offset) = (Gain::ZERO, Wide::ZERO);
+        let before = self.charge();
+        let (mut slope, mut offset) = (Gain::ZERO, Wide::ZERO);
         let (mut elastic, mut slip) = (MicroCoulomb::ZERO, MicroCoulomb::ZERO);
-        for (i, (place, element)) in self.places.iter_mut().zip(elements).enumerate() {
+        let mut i = 0;
+        while let (Some(place), Some(element)) = (self.places.get_mut(i), elements.get(i)) {
             let stood = if i >= self.known {
                 MicroCoulomb::ZERO
             } else if i < self.slipping {
                 *place
             } else {
-                self.charge - *place
+                before - *place
             };
             // New limits may be narrower, or wider apart than the order of slipping allows.
             let room = element.slip - slip;
             elastic = stood.limit(elastic - room, elastic + room);
             slip = element.slip;
             *place = charge - elastic;
-            self.slope = self.slope + element.elastance;
-            self.offset = self.offset - element.elastance * *place;
+            slope = slope + element.elastance;
+            offset = offset - element.elastance * *place;
+            i += 1;
         }
-        self.charge = charge;
+        (self.slope, self.offset) = (slope, offset);
+        self.last = mirror(charge, self.falling);
         self.slipping = 0;
         self.known = elements.len();
-        self.look_ahead(elements);
+        self.slip(elements);
     }
 
     /// Moves the charge and returns the hysteresis voltage.
     #[inline(always)]
     pub fn step(&mut self, elements: &[Maxwell], charge: MicroCoulomb) -> Volt {
-        if charge != self.charge {
-            if (charge > self.charge) != self.is_rising {
-                self.turn(elements);
-            }
-            self.charge = charge;
-            while if self.is_rising { charge > self.end } else { charge < self.end } {
-                self.slip(elements);
-            }
+        let mirrored = mirror(charge, self.falling);
+        if mirrored < self.last || mirrored > self.end {
+            self.follow(elements, charge);
+        } else {
+            self.last = mirrored;
         }
         // |slope * charge + offset| is at most the sum of the limits, below 512 V: exact, whatever wraps on the way.
         (self.slope * charge + self.offset).narrow()
     }
 
-    /// The charge turns: all elements stick, where they are.
+    #[inline(always)]
+    const fn charge(&self) -> MicroCoulomb {
+        MicroCoulomb::from_bits(mirror(MicroCoulomb::from_bits(self.last), self.falling))
+    }
+
+    /// The charge turns, or passes the point where an element slips.
+    #[cold]
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
+    fn follow(&mut self, elements: &[Maxwell], charge: MicroCoulomb) {
+        if mirror(charge, self.falling) < self.last {
+            self.turn(elements);
+        }
+        self.last = mirror(charge, self.falling);
+        self.slip(elements);
+    }
+
+    /// The charge turns: all elements stick, where they are. [`HysteresisState::slip`] comes next.
     #[inline(always)]
     fn turn(&mut self, elements: &[Maxwell]) {
-        self.is_rising = !self.is_rising;
-        for (place, element) in self.places.iter_mut().zip(elements).take(self.slipping) {
+        let charge = self.charge();
+        self.falling = !self.falling;
+        // Two sums: of one, the compiler would make a product of 64 by 32 bits, which is dear.
+        let (mut slope, mut offset, mut stuck) = (self.slope, self.offset, Wide::ZERO);
+        let mut i = 0;
+        while let (true, Some(place), Some(element)) =
+            (i < self.slipping, self.places.get_mut(i), elements.get(i))
+        {
             let elastic = *place;
-            *place = self.charge - elastic;
-            self.slope = self.slope + element.elastance;
-            self.offset = self.offset - element.elastance * elastic - element.elastance * *place;
+            *place = charge - elastic;
+            slope = slope + element.elastance;
+            offset = offset - element.elastance * elastic;
+            stuck = stuck + element.elastance * *place;
+            i += 1;
         }
+        (self.slope, self.offset) = (slope, offset - stuck);
         self.slipping = 0;
-        self.look_ahead(elements);
     }
 
-    /// The next element slips from now on.
+    /// All elements slip whose time has come; finds the charge at which the next one does.
     #[inline(always)]
     fn slip(&mut self, elements: &[Maxwell]) {
-        if let (Some(place), Some(element)) =
-            (self.places.get_mut(self.slipping), elements.get(self.slipping))
-        {
+        let (mut slope, mut offset, mut i) = (self.slope, self.offset, self.slipping);
+        let mut slipped = Wide::ZERO; // as in `turn`
+        let mut end = i32::MAX;
+        while let (Some(place), Some(element)) = (self.places.get_mut(i), elements.get(i)) {
             let origin = *place;
-            *place = if self.is_rising { element.slip } else { -element.slip };
-            self.slope = self.slope - element.elastance;
-            self.offset = self.offset + element.elastance * origin + element.elastance * *place;
-            self.slipping += 1;
+            let reach = if self.falling { -element.slip } else { element.slip };
+            end = mirror(origin + reach, self.falling);
+            if self.last <= end {
+                break;
+            }
+            *place = reach;
+            slope = slope - element.elastance;
+            offset = offset + element.elastance * origin;
+            slipped = slipped + element.elastance * reach;
+            end = i32::MAX;
+            i += 1;
         }
-        self.look_ahead(elements);
-    }
-
-    /// Finds the charge at which the next element slips.
-    #[inline(always)]
-    fn look_ahead(&mut self, elements: &[Maxwell]) {
-        self.end = match (self.places.get(self.slipping), elements.get(self.slipping)) {
-            (Some(origin), Some(element)) if self.is_rising => *origin + element.slip,
-            (Some(origin), Some(element)) => *origin - element.slip,
-            _ if self.is_rising => MicroCoulomb::MAX,
-            _ => MicroCoulomb::MIN,
-        };
+        (self.slope, self.offset, self.slipping, self.end) = (slope, offset + slipped, i, end);
     }
 }
 

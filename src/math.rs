@@ -25,29 +25,26 @@ pub const fn mul_q30(a: i32, b: i32) -> i32 {
 /// Odd polynomial of degree 9 on the folded quarter wave, near-minimax (fitted at Chebyshev nodes).
 #[inline(always)]
 pub const fn sin_q30(phase: u32) -> i32 {
-    // Fold to +-quarter turn; as i32, a turn is 2^32 and a quarter 2^30.
+    // Fold to +-quarter turn; as i32, a turn is 2^32 and a quarter 2^30. Beyond a quarter the two upper bits differ.
     let turn = phase as i32;
-    let folded = if turn > ONE_Q30 || turn < -ONE_Q30 { i32::MIN.wrapping_sub(turn) } else { turn };
-    // u = folded / 2^30 in [-1, 1]; u^2 in Q1.30 times 4 makes Q0.32-style operands for `high`.
-    let u = folded;
+    let u = if turn ^ (turn << 1) < 0 { i32::MIN.wrapping_sub(turn) } else { turn };
     let u2 = mul_q30(u, u);
-    // Coefficients of sin(pi/2 u) in Q2.29 against u2 in Q30: high(c, u2) has 29 + 30 - 32 = 27 bits; keep Q29 by << 2.
+    // Coefficients of sin(pi/2 u) in Q1.30 against u2 in Q30: high(c, u2) has 28 bits; keep Q30 by << 2.
     let mut p = SIN_C9;
     p = SIN_C7 + (high(p, u2) << 2);
     p = SIN_C5 + (high(p, u2) << 2);
     p = SIN_C3 + (high(p, u2) << 2);
     p = SIN_C1 + (high(p, u2) << 2);
-    // p in Q29, u in Q30: the product >> 29 is Q30.
-    let s = ((p as i64 * u as i64) + (1 << 28)) >> 29;
-    s as i32
+    // p and u in Q30.
+    mul_q30(p, u)
 }
 
-// Fitted offline by iteratively reweighted least squares on sin(pi u / 2); Q2.29. Error of the polynomial itself: 3.4e-9.
-const SIN_C1: i32 = 843_314_837;
-const SIN_C3: i32 = -346_798_938;
-const SIN_C5: i32 = 42_782_427;
-const SIN_C7: i32 = -2_508_383;
-const SIN_C9: i32 = 80_971;
+// Fitted offline by iteratively reweighted least squares on sin(pi u / 2); Q1.30. Error of the polynomial itself: 3.4e-9.
+const SIN_C1: i32 = 843_314_837 << 1;
+const SIN_C3: i32 = -346_798_938 << 1;
+const SIN_C5: i32 = 42_782_427 << 1;
+const SIN_C7: i32 = -2_508_383 << 1;
+const SIN_C9: i32 = 80_971 << 1;
 
 /// cos(2 pi `phase` / 2^32) in Q1.30.
 #[inline(always)]

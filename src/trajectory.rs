@@ -12,7 +12,7 @@
 
 use crate::generator::{Generator, Shape, Table};
 use crate::math::{ONE_Q30, mul_q30, rounded_ramp_q30, smoothstep_q30};
-use crate::units::{Um, UmPer2Ticks, UmPer4Ticks2, narrow};
+use crate::units::{Um, UmPer2Ticks, UmPer4Ticks2, clamp_bits, narrow};
 
 /// Start points lose 2^-4 of their velocity each tick: at rest after some 5 ms.
 const COAST_SHIFT: u32 = 4;
@@ -52,14 +52,14 @@ pub struct Trajectory {
     /// x(n+3), x(n+2), x(n+1), x(n), x(n-1).
     ahead: [Um; 5],
     clipped: bool,
-    /// Ticks for which the newest point has not changed, up to [`STILL`].
+    /// Ticks for which the newest point has not changed, up to [`STILL`]; [`ASLEEP`]: nothing changes until something is started.
     still: u32,
-    /// At rest, and every point and difference of it with it: nothing changes until something is started.
-    asleep: bool,
 }
 
 /// Points ahead, and one more: then the difference of two motions is nothing too.
 const STILL: u32 = 5;
+/// At rest, and every point and difference of it with it.
+const ASLEEP: u32 = STILL + 1;
 
 impl Trajectory {
     /// At rest.
@@ -77,7 +77,6 @@ impl Trajectory {
             ahead: [position; 5],
             clipped: false,
             still: 0,
-            asleep: false,
         }
     }
 
@@ -88,7 +87,7 @@ impl Trajectory {
         self.is_staged = false;
         self.start = position;
         self.coast = 0;
-        (self.still, self.asleep) = (0, false);
+        self.still = 0;
         for x in &mut self.ahead {
             *x = position;
         }
@@ -131,7 +130,7 @@ impl Trajectory {
     /// Start from the present motion.
     #[inline(always)]
     fn join(&mut self) {
-        (self.asleep, self.still) = (false, 0);
+        self.still = 0;
         let [newest, previous, ..] = self.ahead;
         self.start = newest;
         self.coast = (newest - previous).to_bits();
@@ -144,7 +143,7 @@ impl Trajectory {
     /// Whether [`Trajectory::step`] would change nothing, unless the limits of the travel have changed.
     #[inline(always)]
     pub const fn is_asleep(&self) -> bool {
-        self.asleep
+        self.still == ASLEEP
     }
 
     /// One tick: returns the motion at n + 2.
@@ -174,16 +173,18 @@ impl Trajectory {
                 }
             }
         };
-        let next = wanted.limit(low, high);
-        self.clipped = next != wanted;
+        // As a rule it is within the travel: the signs of both distances tell.
+        let is_within = (wanted - low).to_bits() | (high - wanted).to_bits() >= 0;
+        let next = if is_within { wanted } else { cut(wanted, low, high) };
+        self.clipped = !is_within;
         let [x3, x2, x1, x0, _] = self.ahead;
         self.ahead = [next, x3, x2, x1, x0];
         if next != x3 {
-            (self.still, self.asleep) = (0, false);
+            self.still = 0;
         } else if self.still < STILL {
             self.still += 1;
         } else {
-            self.asleep = !self.is_moving();
+            self.still = if self.is_moving() { STILL } else { ASLEEP };
         }
         motion(next, x3, x2)
     }
@@ -194,26 +195,28 @@ impl Trajectory {
         if let Shape::Go { .. } = shape {
             return self.generator.center;
         }
-        self.age = self.age.saturating_add(1);
-        let after = self.age.saturating_sub(self.generator.duration);
-        let has_ended = self.generator.duration != 0 && after != 0;
         let mut w = self.generator.wave(table, self.phase);
         self.phase = self.phase.wrapping_add((self.step >> 32) as u32);
-        if has_ended {
-            // It goes on while it fades: the way to the centre stays within the amplitude, where a start point that coasts on
-            // with a fast wave's velocity would leave it.
+        if self.generator.duration != 0 {
+            self.age = self.age.saturating_add(1);
+            if let Shape::Sweep { growth } = shape
+                && self.age <= self.generator.duration
+            {
+                let change = ((self.step >> 32) as i64).wrapping_mul(growth as i64) >> 8;
+                self.step = self.step.wrapping_add(change as u64);
+            }
+            // When its time is over it goes on while it fades: the way to the centre stays within the amplitude, where a start
+            // point that coasts on with a fast wave's velocity would leave it.
+            let after = self.age.saturating_sub(self.generator.duration);
             let faded = after.saturating_mul(self.generator.blend);
             if faded == u32::MAX {
                 self.generator.shape = Shape::Go { ramp: false };
                 return self.generator.center;
             }
             w = mul_q30(w, ONE_Q30 - smoothstep_q30((faded >> 2) as i32));
-        } else if let Shape::Sweep { growth } = shape {
-            let change = ((self.step >> 32) as i64).wrapping_mul(growth as i64) >> 8;
-            self.step = self.step.wrapping_add(change as u64);
         }
-        let swing = (self.generator.amplitude.to_bits() as i64 * w as i64) >> 30;
-        self.generator.center + Um::from_bits(swing as i32)
+        let swing = mul_q30(self.generator.amplitude.to_bits(), w);
+        self.generator.center + Um::from_bits(swing)
     }
 
     /// Position at the present tick.
@@ -235,16 +238,24 @@ impl Trajectory {
     }
 }
 
+/// The nearest position within the travel: seldom, so out of the way.
+#[cold]
+#[inline(never)]
+#[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
+fn cut(wanted: Um, low: Um, high: Um) -> Um {
+    wanted.limit(low, high)
+}
+
 /// Central differences about the middle of three samples, a tick (0.1 ms) apart.
 #[inline(always)]
 fn motion(after: Um, here: Um, before: Um) -> Motion {
     let (rise, fall) = (after - here, here - before);
     // after - 2 here + before, as far as 4 bits more fit.
-    let bend = (rise - fall).limit(Um::from_bits(-(1 << 27)), Um::from_bits((1 << 27) - 1));
+    let bend = clamp_bits::<28>((rise - fall).to_bits());
     Motion {
         position: here,
         velocity: UmPer2Ticks::from_bits((rise + fall).to_bits()),
-        acceleration: UmPer4Ticks2::from_bits(bend.to_bits() << 4),
+        acceleration: UmPer4Ticks2::from_bits(bend << 4),
     }
 }
 

@@ -40,37 +40,19 @@ pub trait Quantity: Copy {
 /// `wide` / 2^`SHIFT`, rounded down, saturating. Beyond the range, the last 32 - `SHIFT` bits are any: it saturates to
 /// within 2^(32 - SHIFT) of the end.
 ///
-/// The upper word is clamped and the two words are joined: three instructions on the Cortex-M4 (`ssat`, `lsl`, `orr`), where an exact
+/// The upper word is clamped and the two words are joined: three instructions on the Cortex-M4 (`ssat`, `lsr`, `orr`), where an exact
 /// end would take a comparison and a branch more, forty times a tick.
 #[inline(always)]
 pub fn narrow<const SHIFT: u32>(wide: i64) -> i32 {
     const { assert!(SHIFT > 0 && SHIFT < 32) };
-    clamp_bits::<SHIFT>((wide >> 32) as i32) << (32 - SHIFT) | (wide as u32 >> SHIFT) as i32
+    let upper = clamp_bits::<SHIFT>((wide >> 32) as i32);
+    // Joined as 64 bits: a shift of the upper word alone would be drawn into the clamp, which is then no `ssat` any more.
+    (((upper as u32 as u64) << 32 | (wide as u32 as u64)) >> SHIFT) as i32
 }
 
-/// The nearest signed number of `BITS` bits.
-#[cfg(target_arch = "arm")]
+/// The nearest signed number of `BITS` bits: one `ssat` on the Cortex-M4.
 #[inline(always)]
-fn clamp_bits<const BITS: u32>(x: i32) -> i32 {
-    let clamped;
-    // SAFETY: one instruction, registers only; that it may set the saturation flag is not hidden from the compiler. Written
-    // as a comparison, the compiler makes six instructions of it.
-    unsafe {
-        core::arch::asm!(
-            "ssat {clamped}, #{bits}, {x}",
-            clamped = lateout(reg) clamped,
-            x = in(reg) x,
-            bits = const BITS,
-            options(pure, nomem, nostack),
-        );
-    }
-    clamped
-}
-
-/// The nearest signed number of `BITS` bits.
-#[cfg(not(target_arch = "arm"))]
-#[inline(always)]
-fn clamp_bits<const BITS: u32>(x: i32) -> i32 {
+pub(crate) fn clamp_bits<const BITS: u32>(x: i32) -> i32 {
     let most = (1i32 << (BITS - 1)) - 1;
     x.clamp(-most - 1, most)
 }
