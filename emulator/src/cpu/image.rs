@@ -90,6 +90,11 @@ impl Image {
         self.symbols.get(name).map(|s| s.0)
     }
 
+    /// The address of the first symbol, by name, that has this in its name.
+    pub fn symbol_with(&self, part: &str) -> Option<u32> {
+        self.symbols.iter().find(|(name, _)| name.contains(part)).map(|(_, s)| s.0)
+    }
+
     /// The function an address lies in, as linked (mangled), with its offset.
     pub fn function_at(&self, address: u32) -> Option<(&str, u32)> {
         let address = address & !1;

@@ -1,12 +1,17 @@
 //! Fault injection into the core.
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use unicorn_engine::RegisterARM as R;
 
 use super::exception::set;
 use super::image::FLASH;
 use super::{FLASH_BYTES, Machine};
 use crate::time::MICROSECOND;
+
+/// Part of the name of `core::panicking::panic(message, &location)`, in both manglings.
+const CORE_PANIC: &str = "9panicking5panic";
+/// RAM that no image uses: they have 64 of 96 KiB.
+const SCRATCH: u32 = 0x2001_7000;
 
 impl Machine {
     /// Fault injection: sends the core, once it is in thread mode, to another address.
@@ -19,6 +24,24 @@ impl Machine {
             self.run_for(10 * MICROSECOND)?;
         }
         bail!("the core never reached thread mode")
+    }
+
+    /// Fault injection: a task panics as Rust code does, by a call of `core::panicking::panic` with a message and a place.
+    pub fn panic(&mut self, message: &str, file: &str, line: u32) -> Result<()> {
+        let function = self.image().symbol_with(CORE_PANIC);
+        let function = function.context("the image has no core::panicking::panic")?;
+        let place = SCRATCH + 0x400;
+        let path = SCRATCH + 0x800;
+        self.write_memory(SCRATCH, message.as_bytes())?;
+        self.write_memory(path, file.as_bytes())?;
+        // core::panic::Location: file name (address, length), line, column.
+        let location = [path, file.len() as u32, line, 5].map(u32::to_le_bytes).concat();
+        self.write_memory(place, &location)?;
+        self.derail(function)?;
+        for (register, value) in [(R::R0, SCRATCH), (R::R1, message.len() as u32), (R::R2, place)] {
+            set(&mut self.uc, register, value);
+        }
+        Ok(())
     }
 
     /// Fault injection: the core spins for ever with interrupts masked, as after a runaway pointer into a wait loop.

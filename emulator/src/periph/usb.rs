@@ -32,6 +32,18 @@ pub enum Handshake<T> {
     Silent,
 }
 
+impl<T> Handshake<T> {
+    /// What comes of that which was taken or given; any other answer stays.
+    pub fn map<U>(self, act: impl FnOnce(T) -> U) -> Handshake<U> {
+        match self {
+            Handshake::Ack(content) => Handshake::Ack(act(content)),
+            Handshake::Nak => Handshake::Nak,
+            Handshake::Stall => Handshake::Stall,
+            Handshake::Silent => Handshake::Silent,
+        }
+    }
+}
+
 /// The peripheral.
 pub struct Usb {
     ep: [u32; 8],

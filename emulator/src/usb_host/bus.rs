@@ -225,16 +225,7 @@ impl Host {
                 if self.running.is_some_and(|r| r.1 == i) {
                     self.running = None;
                 }
-                while let Some(t) = self.queues[i].1.pop_front() {
-                    let status = Status::Cancelled;
-                    self.completions.push_back(Completion {
-                        id: t.id,
-                        pipe,
-                        status,
-                        data: t.data,
-                        at: now,
-                    });
-                }
+                while self.complete(i, Status::Cancelled, now) {}
             }
         }
     }

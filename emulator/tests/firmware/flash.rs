@@ -8,7 +8,7 @@ use emulator::time::{MILLISECOND, SECOND};
 use flexstage::Settings;
 use flexstage::link::message::{Command, Reply};
 
-use crate::common::{bench, image, settings};
+use crate::common::{armed, bench, hold, image, settings};
 
 fn with_gain(gain: f32) -> Settings {
     let mut s = settings();
@@ -164,24 +164,41 @@ fn reboots_into_the_dfu_loader() {
 }
 
 #[test]
-fn a_panic_is_reported_after_the_reset() {
+fn a_fault_is_reported_after_the_reset() {
     let Some(image) = image() else { return };
     let mut b = bench(&image, 1);
     // A fault in a task: the core is sent to an address where no code is.
     b.machine.derail(0x0003_fff0 | 0x3000_0000).unwrap();
+    let message = crash_report(&mut b);
+    assert!(message.starts_with("hard fault at "), "{message}");
+}
+
+#[test]
+fn a_panic_is_reported_after_the_reset() {
+    let Some(image) = image() else { return };
+    let mut b = armed(&image, 1, |_| {});
+    b.start(&[(0, hold(8.0))]).unwrap();
+    b.run_for(SECOND / 2).unwrap();
+    b.machine.panic("index out of bounds", "src/board/somewhere.rs", 123).unwrap();
+    let message = crash_report(&mut b);
+    assert!(message.contains("index out of bounds"), "{message}");
+    assert!(message.contains("src/board/somewhere.rs:123"), "{message}");
+}
+
+/// Waits for the restart; what it reports, and that the loop works again.
+fn crash_report(b: &mut Bench) -> String {
     b.run_until(5 * SECOND, "restart", |b| b.machine.resets.len() > 1).unwrap();
     println!("reset {:?}", b.machine.resets.last().unwrap());
-    back(&mut b);
+    back(b);
     let identity = b.identify().unwrap();
     assert_eq!(identity.has_crash_report, 1);
-    match b.command(&Command::Crash).unwrap() {
-        Reply::Crash(crash) => {
-            println!("crash report: {:?}", crash.message);
-            assert!(!crash.message.is_empty());
-        }
+    let message = match b.command(&Command::Crash).unwrap() {
+        Reply::Crash(crash) => crash.message.to_string(),
         other => panic!("{other:?}"),
-    }
+    };
+    println!("crash report: {message:?}");
     // The loop works again.
     b.command(&Command::SetSettings(settings())).unwrap();
     b.arm().unwrap();
+    message
 }

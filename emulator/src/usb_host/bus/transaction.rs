@@ -3,7 +3,7 @@
 use super::{Host, MAX_PACKET};
 use crate::periph::usb::{Handshake, Usb};
 use crate::time::Time;
-use crate::usb_host::transfer::{Completion, Pipe, Stage, Status};
+use crate::usb_host::transfer::{Completion, Pipe, Stage, Status, Transfer};
 
 impl Host {
     fn toggle(&mut self, pipe: Pipe) -> &mut bool {
@@ -32,88 +32,65 @@ impl Host {
         let toggle = if pipe == Pipe::Control { t.toggle } else { bulk_toggle };
         let mut flipped = false;
         let mut ended = None;
-        let silent = match t.stage {
-            Stage::Setup => match device.setup(address, &t.setup) {
-                Handshake::Ack(()) => {
-                    t.toggle = true;
-                    t.stage = match (t.setup[0] & 0x80 != 0, t.want) {
-                        (_, 0) => Stage::StatusIn,
-                        (true, _) => Stage::DataIn,
-                        (false, _) => Stage::DataOut,
-                    };
-                    false
-                }
-                answer => answer == Handshake::Silent,
-            },
+        let answer = match t.stage {
+            Stage::Setup => device.setup(address, &t.setup).map(|()| {
+                t.toggle = true;
+                t.stage = match (t.setup[0] & 0x80 != 0, t.want) {
+                    (_, 0) => Stage::StatusIn,
+                    (true, _) => Stage::DataIn,
+                    (false, _) => Stage::DataOut,
+                };
+            }),
             Stage::DataOut => {
                 let packet = &t.data[t.sent..t.want.min(t.data.len()).min(t.sent + MAX_PACKET)];
-                match device.out(address, endpoint, toggle, packet) {
-                    Handshake::Ack(()) => {
-                        self.packets += 1;
-                        let whole = packet.len() == MAX_PACKET;
-                        t.sent += packet.len();
-                        t.toggle = !t.toggle;
-                        flipped = true;
-                        if t.sent >= t.want {
-                            if t.pipe == Pipe::Control {
-                                t.stage = Stage::StatusIn;
-                                t.toggle = true;
-                            } else if !t.zlp || !whole {
-                                ended = Some(Status::Done);
-                            }
+                device.out(address, endpoint, toggle, packet).map(|()| {
+                    self.packets += 1;
+                    let whole = packet.len() == MAX_PACKET;
+                    t.sent += packet.len();
+                    t.toggle = !t.toggle;
+                    flipped = true;
+                    if t.sent >= t.want {
+                        if t.pipe == Pipe::Control {
+                            t.stage = Stage::StatusIn;
+                            t.toggle = true;
+                        } else if !t.zlp || !whole {
+                            ended = Some(Status::Done);
                         }
-                        false
                     }
-                    Handshake::Stall => {
-                        ended = Some(Status::Stall);
-                        false
-                    }
-                    answer => answer == Handshake::Silent,
-                }
+                })
             }
-            Stage::DataIn | Stage::StatusIn => match device.token_in(address, endpoint) {
-                Handshake::Ack((sent, data)) => {
+            Stage::DataIn | Stage::StatusIn => {
+                device.token_in(address, endpoint).map(|(sent, data)| {
                     self.packets += 1;
                     if sent != toggle {
                         self.repeats += 1;
-                    } else {
-                        let short = data.len() < MAX_PACKET;
-                        t.toggle = !t.toggle;
-                        flipped = true;
-                        t.data.extend(data);
-                        match (t.stage, t.pipe) {
-                            (Stage::StatusIn, _) => ended = Some(Status::Done),
-                            (_, Pipe::Control) if short || t.data.len() >= t.want => {
-                                t.stage = Stage::StatusOut;
-                                t.toggle = true;
-                            }
-                            (_, Pipe::In(_)) if short || t.data.len() >= t.want => {
-                                ended = Some(Status::Done)
-                            }
-                            _ => {}
-                        }
+                        return;
                     }
-                    false
-                }
-                Handshake::Stall => {
-                    ended = Some(Status::Stall);
-                    false
-                }
-                answer => answer == Handshake::Silent,
-            },
-            Stage::StatusOut => match device.out(address, 0, true, &[]) {
-                Handshake::Ack(()) => {
-                    ended = Some(Status::Done);
-                    false
-                }
-                Handshake::Stall => {
-                    ended = Some(Status::Stall);
-                    false
-                }
-                answer => answer == Handshake::Silent,
-            },
+                    let short = data.len() < MAX_PACKET;
+                    t.toggle = !t.toggle;
+                    flipped = true;
+                    t.data.extend(data);
+                    match (t.stage, t.pipe) {
+                        (Stage::StatusIn, _) => ended = Some(Status::Done),
+                        (_, Pipe::Control) if short || t.data.len() >= t.want => {
+                            t.stage = Stage::StatusOut;
+                            t.toggle = true;
+                        }
+                        (_, Pipe::In(_)) if short || t.data.len() >= t.want => {
+                            ended = Some(Status::Done)
+                        }
+                        _ => {}
+                    }
+                })
+            }
+            Stage::StatusOut => {
+                device.out(address, 0, true, &[]).map(|()| ended = Some(Status::Done))
+            }
         };
-        t.silent = if silent { t.silent + 1 } else { 0 };
+        if answer == Handshake::Stall {
+            ended = Some(Status::Stall);
+        }
+        t.silent = if answer == Handshake::Silent { t.silent + 1 } else { 0 };
         if t.silent >= 3 {
             ended = Some(Status::Gone);
         }
@@ -121,14 +98,15 @@ impl Host {
             *self.toggle(pipe) ^= true;
         }
         if let Some(status) = ended {
-            let t = self.queues[index].1.pop_front().expect("front");
-            self.completions.push_back(Completion {
-                id: t.id,
-                pipe,
-                status,
-                data: t.data,
-                at: now,
-            });
+            self.complete(index, status, now);
         }
+    }
+
+    /// The first transfer of a queue has ended; whether there was one.
+    pub(super) fn complete(&mut self, index: usize, status: Status, at: Time) -> bool {
+        let (pipe, queue) = &mut self.queues[index];
+        let Some(Transfer { id, data, .. }) = queue.pop_front() else { return false };
+        self.completions.push_back(Completion { id, pipe: *pipe, status, data, at });
+        true
     }
 }
