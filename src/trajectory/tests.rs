@@ -48,7 +48,7 @@ fn a_wave_that_ends_stays_within_its_amplitude_and_reaches_its_centre() {
             let sweep = GeneratorSettings::Sweep {
                 center_um: 6.0,
                 amplitude_um: 5.0,
-                from_hz: 10.0,
+                from_hz: frequency_hz / 2.0,
                 to_hz: frequency_hz,
                 duration_s,
                 blend_s: 0.02,
