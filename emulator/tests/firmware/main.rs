@@ -10,6 +10,7 @@ mod faults;
 mod flash;
 mod hostile;
 mod identity;
+mod probe;
 mod socket;
 mod stream;
 mod usb;

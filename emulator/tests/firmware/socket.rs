@@ -14,7 +14,7 @@ use host_sim::effects::Place;
 use crate::common::image;
 
 /// Ends the emulator whatever becomes of the test.
-struct Running(Child);
+pub struct Running(Child);
 
 impl Drop for Running {
     fn drop(&mut self) {
@@ -24,7 +24,8 @@ impl Drop for Running {
     }
 }
 
-fn start(arguments: &[&str]) -> (Running, String) {
+/// The emulator with these options beside, and the address that it serves.
+pub fn start(arguments: &[&str]) -> (Running, String) {
     let mut child = Program::new(env!("CARGO_BIN_EXE_emulator"))
         .arg("--elf")
         .arg(std::env::var_os("FLEXSTAGE_FIRMWARE_ELF").unwrap())

@@ -27,6 +27,9 @@ impl Default for Visible {
 /// Zoom of the time by the wheel: logarithm of the factor for each point that it scrolls. A notch is about 40 points.
 const WHEEL: f32 = 0.006;
 
+/// Width of the words beside lost ticks, as a share of the plot.
+const LABEL: f64 = 0.15;
+
 /// A row of traces: title, unit factor, channels in the order in which they are drawn, with their shade.
 struct Row {
     name: &'static str,
@@ -184,15 +187,20 @@ fn plot(
         if let Some((from, to)) = follow {
             plot.set_plot_bounds_x(from..=to);
         }
+        let bounds = plot.plot_bounds();
+        let mut labelled = f64::NEG_INFINITY;
         for lost in history.lost() {
             let (a, b) = (history.time_s(lost.tick), history.time_s(lost.tick + lost.count));
             if b < from || a > to {
                 continue;
             }
             plot.span(Span::new("lost ticks", a..=b).fill(BAD.gamma_multiply(0.35)));
-            if is_last {
-                let bounds = plot.plot_bounds();
-                let at = PlotPoint::new(a, bounds.max()[1]);
+            // Words do not stand on each other.
+            if is_last && a - labelled > LABEL * (to - from) {
+                labelled = a;
+                // Inside of what the traces fill: on the edge it would push the range on, picture by picture.
+                let [low, high] = [bounds.min()[1], bounds.max()[1]];
+                let at = PlotPoint::new(a, low + 0.85 * (high - low));
                 let text = RichText::new(format!("{} ticks lost", lost.count)).color(BAD);
                 plot.text(Text::new("lost ticks", at, text).anchor(egui::Align2::LEFT_TOP));
             }
@@ -271,7 +279,10 @@ fn envelope(
 }
 
 fn cursor_table(ui: &mut Ui, view: &TimeView, visible: &Visible, history: &History) {
+    let (first, end) = history.ticks();
     let at = view.cursors.map(|cursor| cursor.map(|t| (t, history.tick_at(t))));
+    // Left and right of what is in memory there are no values.
+    let is_known = |t: f64| t >= history.time_s(first) && t < history.time_s(end);
     egui::ScrollArea::horizontal().show(ui, |ui| {
         egui::Grid::new("cursor table").striped(true).num_columns(2 + 5 * AXES).show(ui, |ui| {
             ui.label("cursor");
@@ -287,7 +298,9 @@ fn cursor_table(ui: &mut Ui, view: &TimeView, visible: &Visible, history: &Histo
             }
             ui.end_row();
             let value = |cursor: usize, (channel, axis): (Channel, usize)| {
-                at[cursor].map(|(_, tick)| history.value(channel, axis, tick))
+                at[cursor]
+                    .filter(|(t, _)| is_known(*t))
+                    .map(|(_, tick)| history.value(channel, axis, tick))
             };
             for (cursor, name) in ["A", "B"].into_iter().enumerate() {
                 ui.label(name);
@@ -299,7 +312,7 @@ fn cursor_table(ui: &mut Ui, view: &TimeView, visible: &Visible, history: &Histo
             }
             if let [Some((a, _)), Some((b, _))] = at {
                 ui.label("B - A");
-                ui.label(format!("{:.4} ({:.2} Hz)", b - a, 1.0 / (b - a).abs().max(1e-9)));
+                ui.label(format!("{:.4} ({})", b - a, hertz(1.0 / (b - a).abs().max(1e-9))));
                 for trace in &traces {
                     let difference = value(1, *trace).zip(value(0, *trace)).map(|(b, a)| b - a);
                     ui.label(difference.map_or("-".into(), |d| format!("{d:.4}")));
@@ -308,6 +321,11 @@ fn cursor_table(ui: &mut Ui, view: &TimeView, visible: &Visible, history: &Histo
             }
         });
     });
+}
+
+/// A frequency with three digits.
+fn hertz(hz: f64) -> String {
+    if hz < 0.1 { format!("{:.2} mHz", hz * 1e3) } else { format!("{hz:.2} Hz") }
 }
 
 /// Unit of a channel as this window writes it.

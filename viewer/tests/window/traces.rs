@@ -1,5 +1,6 @@
 //! Traces: pause, zoom, cursors with values and differences.
 
+use eframe::egui::accesskit::Role;
 use eframe::egui::{Event, Modifiers, PointerButton, Pos2, pos2};
 use egui_kittest::kittest::Queryable;
 use telemetry::virtual_board::Speed;
@@ -25,6 +26,14 @@ fn press(harness: &mut Window, at: Pos2, button: PointerButton) {
     harness.step();
 }
 
+/// What stands in the table of cursors from this cell on: cells follow each other as the grid is filled.
+fn row(harness: &Window, name: &str) -> Vec<String> {
+    let texts: Vec<String> =
+        harness.query_all_by_role(Role::Label).filter_map(|node| node.value()).collect();
+    let at = texts.iter().position(|t| t == name).unwrap_or_else(|| panic!("{texts:?}"));
+    texts[at..].to_vec()
+}
+
 #[test]
 fn cursors_give_times_values_and_differences() {
     // A ramp of 1 um a second: the difference of the positions is that of the times.
@@ -42,15 +51,6 @@ fn cursors_give_times_values_and_differences() {
     assert!(!shows(&harness, "B - A"), "one cursor has no difference");
     press(&mut harness, IN_THE_PLOT + eframe::egui::vec2(100.0, 0.0), PointerButton::Secondary);
     assert!(shows(&harness, "B - A"));
-    let row = |harness: &Window, name: &str| -> Vec<String> {
-        // Cells follow each other as the grid is filled.
-        let texts: Vec<String> = harness
-            .query_all_by_role(eframe::egui::accesskit::Role::Label)
-            .filter_map(|node| node.value())
-            .collect();
-        let at = texts.iter().position(|t| t == name).unwrap_or_else(|| panic!("{texts:?}"));
-        texts[at..].to_vec()
-    };
     let number = |text: &str| text.split(' ').next().unwrap().parse::<f64>().unwrap();
     let (a, b, d) = (row(&harness, "A"), row(&harness, "B"), row(&harness, "B - A"));
     let (ta, tb, dt) = (number(&a[1]), number(&b[1]), number(&d[1]));
@@ -66,6 +66,18 @@ fn cursors_give_times_values_and_differences() {
     assert!((dp - (pb - pa)).abs() < 2e-4, "{dp}");
     click(&mut harness, "Clear cursors");
     assert!(!shows(&harness, "B - A"));
+}
+
+#[test]
+fn there_is_no_value_before_the_first_sample() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut harness = window(folder.path(), Speed::RealTime);
+    // Ten minutes of time, seconds of samples at their right end.
+    click(&mut harness, "10 min");
+    click(&mut harness, "Cursors");
+    press(&mut harness, IN_THE_PLOT, PointerButton::Primary);
+    let a = row(&harness, "A");
+    assert!(a[1].parse::<f64>().unwrap() < 0.0 && a[2] == "-", "{:?}", &a[..4]);
 }
 
 #[test]
