@@ -10,13 +10,13 @@ use common::{json, ok, run, text};
 use host_sim::Rig;
 use host_sim::effects::Place;
 
-/// Probes a rig with an effect, diagnoses against the model without it: the diagnosis.
-fn verdict(effect: &str, axis: usize, parameter: &str, value: f64) -> serde_json::Value {
+/// Probes an axis of a rig with an effect, diagnoses against the model without it: the diagnosis.
+fn verdict(axis: usize, plant: impl FnOnce(&mut Rig)) -> serde_json::Value {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     let nominal = Rig::named("handley").unwrap();
     let mut planted = nominal.clone();
-    planted.set(effect, Place::Axis(axis), parameter, value).unwrap();
+    plant(&mut planted);
     std::fs::write(path("model.toml"), nominal.to_toml()).unwrap();
     std::fs::write(path("rig.toml"), planted.to_toml()).unwrap();
     let axis = (axis + 1).to_string();
@@ -39,7 +39,7 @@ fn verdict(effect: &str, axis: usize, parameter: &str, value: f64) -> serde_json
     assert_eq!(report["lost_ticks"], 0);
     let (model, out) = (path("model.toml"), path("out"));
     ok(run(&["diagnose", "--rig", text(&model), text(&session), "--out", text(&out)]));
-    assert!(std::fs::read_to_string(out.join("report.html")).unwrap().contains(effect));
+    assert!(std::fs::read_to_string(out.join("report.html")).unwrap().contains("<svg"));
     json(&std::fs::read_to_string(out.join("diagnosis.json")).unwrap())
 }
 
@@ -59,12 +59,27 @@ fn assert_names(diagnosis: &serde_json::Value, effect: &str, axis: usize) {
     assert!(closed > 0.9, "the gap shrinks by {closed}");
 }
 
+/// Plants one, probes, diagnoses, and wants to hear of it.
+fn is_named(effect: &str, axis: usize, parameter: &str, value: f64) {
+    let diagnosis = verdict(axis, |rig| {
+        rig.set(effect, Place::Axis(axis), parameter, value).unwrap();
+    });
+    assert_names(&diagnosis, effect, axis);
+}
+
 #[test]
 fn creep_planted_in_the_rig_is_named() {
-    assert_names(&verdict("creep", 1, "per_decade", 0.02), "creep", 1);
+    is_named("creep", 1, "per_decade", 0.02);
 }
 
 #[test]
 fn a_slow_amplifier_is_named() {
-    assert_names(&verdict("amplifier-bandwidth", 0, "ratio", 1.6), "amplifier-bandwidth", 0);
+    is_named("amplifier-bandwidth", 0, "ratio", 1.6);
+}
+
+#[test]
+fn a_rig_like_its_model_has_no_gap() {
+    let diagnosis = verdict(0, |_| ());
+    assert_eq!(diagnosis["verdict"], "no-gap", "{:#}", diagnosis["gap"]);
+    assert_eq!(diagnosis["causes"].as_array().map(Vec::len), Some(0));
 }
