@@ -85,7 +85,10 @@ impl App {
             LinkState::Connected(info) => {
                 ui.label(format!("{}, firmware {}", info.name, info.firmware))
             }
-            LinkState::Waiting { reason } => ui.label(RichText::new(reason).color(BAD)),
+            // The whole reason stands below, until it is put away.
+            LinkState::Waiting { reason } => ui
+                .label(RichText::new("not connected, tried again all the time").color(BAD))
+                .on_hover_text(reason),
             LinkState::Recording { path, about } => {
                 ui.label(format!("{}: {about}", path.display()))
             }

@@ -155,6 +155,7 @@ impl App {
             LinkState::Connected(info) => Some(info),
             _ => None,
         };
+        let is_gone = matches!(link.state(), LinkState::Waiting { .. });
         let statistics = link.statistics();
         if self.right == Right::Response {
             let measured = self.link.measured();
@@ -163,7 +164,7 @@ impl App {
         let history = link.history();
         let axes = self.visible.axes;
         match self.right {
-            Right::Status => status::show(ui, &history, info.as_deref(), statistics),
+            Right::Status => status::show(ui, &history, info.as_deref(), statistics, is_gone),
             Right::Loop => xy::show(ui, &self.view, axes, &history),
             Right::Error => self.histogram.show(ui, &self.view, axes, &history),
             Right::Spectrum => self.spectrum.show(ui, &self.view, axes, &history),

@@ -24,7 +24,12 @@ pub fn show(
     history: &History,
     info: Option<&DeviceInfo>,
     statistics: Option<StreamStatistics>,
+    is_gone: bool,
 ) {
+    if is_gone {
+        ui.label(RichText::new("no connection: what the board does now is not known").color(BAD));
+        ui.label(RichText::new("when it was last heard of:").weak());
+    }
     if let Some(last) = history.last() {
         let flags = Flags(last.flags);
         ui.label(RichText::new(state_words(flags)).color(state_color(flags.state())).strong());

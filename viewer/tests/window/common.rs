@@ -26,7 +26,11 @@ pub fn window_of(source: Source, folder: &Path) -> Window {
 
 /// The window on a virtual board that is ready.
 pub fn window(folder: &Path, speed: Speed) -> Window {
-    let board = Board { speed, ..Board::default() };
+    window_on(folder, Board { speed, ..Board::default() })
+}
+
+/// The window on this board, when it is ready.
+pub fn window_on(folder: &Path, board: Board) -> Window {
     let mut harness = window_of(Source::Board(Target::Virtual(board)), folder);
     until(&mut harness, "samples", |h| {
         h.state().link().history().last().is_some_and(|s| Flags(s.flags).is_parked())

@@ -82,6 +82,7 @@ fn an_unplugged_board_is_missed_and_found_again() {
     assert!(kept.len() > 4000, "{}", kept.len());
     until(&mut harness, "words about it", |h| shows(h, "cannot connect") || shows(h, "was lost"));
     assert!(samples(&harness) > 1000, "the picture stays");
+    assert!(shows(&harness, "no connection"), "the last state is not shown as the present one");
     let _cable = Cable::plug(board(), &address);
     until(&mut harness, "the board again", |h| h.state().link().is_connected());
     until(&mut harness, "fresh samples", |h| {

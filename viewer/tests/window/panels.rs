@@ -3,9 +3,10 @@
 use eframe::egui::Key;
 use egui_kittest::kittest::{NodeT, Queryable};
 use flexstage::{Flags, State};
-use telemetry::virtual_board::Speed;
+use host_sim::effects::Place;
+use telemetry::virtual_board::{Options as Board, Speed};
 
-use crate::common::{click, shows, state, until, window};
+use crate::common::{click, shows, state, until, window, window_on};
 
 #[test]
 fn arm_jog_record_and_stop_with_the_keyboard() {
@@ -73,6 +74,27 @@ fn a_refused_command_stays_in_sight_until_it_is_put_away() {
     until(&mut harness, "the refusal", |h| shows(h, "not armed"));
     harness.get_by_label("OK").click();
     until(&mut harness, "no banner", |h| h.query_by_label("OK").is_none());
+}
+
+#[test]
+fn a_fault_says_what_happened_and_what_to_do_until_it_is_cleared() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut board = Board::default();
+    // A gauge that reads a fifth too much, and a limit that a jog of half a micrometre then exceeds by far.
+    board.rig.set("sensor-gain", Place::Axis(1), "ratio", 1.2).unwrap();
+    board.settings.axes[1].limits.following_error_um = 0.03;
+    let mut harness = window_on(folder.path(), board);
+    click(&mut harness, "Arm");
+    until(&mut harness, "hold", |h| state(h) == Some(State::Hold));
+    click(&mut harness, "Jog 2 +");
+    until(&mut harness, "the fault", |h| state(h) == Some(State::Fault));
+    assert!(shows(&harness, "following error") && shows(&harness, "on axis 2"));
+    until(&mut harness, "the way back", |h| {
+        h.state().link().history().last().is_some_and(|s| Flags(s.flags).is_parked())
+    });
+    click(&mut harness, "Clear faults");
+    until(&mut harness, "off", |h| state(h) == Some(State::Off));
+    assert!(shows(&harness, "faults so far"), "what happened stays in sight");
 }
 
 #[test]
