@@ -88,7 +88,7 @@ fn a_fault_says_what_happened_and_what_to_do_until_it_is_cleared() {
     until(&mut harness, "hold", |h| state(h) == Some(State::Hold));
     click(&mut harness, "Jog 2 +");
     until(&mut harness, "the fault", |h| state(h) == Some(State::Fault));
-    assert!(shows(&harness, "following error") && shows(&harness, "on axis 2"));
+    assert!(shows(&harness, "did not follow its reference") && shows(&harness, "on axis 2"));
     until(&mut harness, "the way back", |h| {
         h.state().link().history().last().is_some_and(|s| Flags(s.flags).is_parked())
     });
