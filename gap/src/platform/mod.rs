@@ -12,6 +12,7 @@
 //! | [`tell`] | what the data cannot tell: masses, the common scale of forces, the order of the springs |
 //! | [`identify`](mod@identify) | the parameters of the chain as it is |
 //! | [`select`] | which effects the data asks for, and what else it could be |
+//! | [`causes`] | causes as the answer states them, and the next experiment |
 //! | [`diagnose`](mod@diagnose) | all of it in order |
 //! | [`picture`] | the report |
 //!
@@ -20,6 +21,7 @@
 //! told; the common scale of all forces comes from the static test (the rig's own static stiffness is kept).
 
 pub mod catalogue;
+pub mod causes;
 pub mod data;
 pub mod diagnose;
 pub mod fit;

@@ -10,7 +10,8 @@
 //!
 //! | file | what |
 //! | --- | --- |
-//! | [`rig`] | the TOML file: chain, material, effects, sensor |
+//! | [`rig`] | the TOML file: chain, material, sensor |
+//! | [`effects`] | what may be added to the chain and the sensor |
 //! | [`material`] | nylon (Table 1 of the paper) and beam stiffness from geometry |
 //! | [`equivalent`] | masses that keep the kinetic energy of the links |
 //! | [`statics`] | the force-displacement test, and where the inner masses start |
@@ -22,6 +23,7 @@
 //! Everything is in SI units. With 4 000 N/m, about a second and tens of grams, the chain is strongly overdamped: its
 //! slow roots are near 1 s⁻¹ and its fast ones near 10⁵ s⁻¹, so explicit steps at 10 kHz are unstable.
 
+pub mod effects;
 pub mod equivalent;
 pub mod integrate;
 pub mod material;
