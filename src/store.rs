@@ -18,7 +18,7 @@
 use crate::Settings;
 use crate::link::frame::Checksum;
 
-/// Version of the payload. A change of [`Settings`] that old payloads do not survive gets a new number, and [`migrate`] the way there.
+/// Version of the payload. A change of [`Settings`] that old payloads do not survive gets a new number, and `migrate` the way there.
 pub const FORMAT: u16 = 1;
 
 /// Bytes of a slot.

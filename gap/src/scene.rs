@@ -86,7 +86,7 @@ impl Wanted {
 }
 
 impl Scene {
-    /// Channels and noise of a session; weights are those of the noise alone until [`Scene::weigh`] is called.
+    /// Channels and noise of a session; weights are those of the noise alone until [`Channel::weigh`] is called.
     pub fn new(rig: &Rig, tracks: Vec<Track>) -> Self {
         let axes = rig.axes.len();
         let noise = |axis: usize, kind: Kind| {

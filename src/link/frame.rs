@@ -3,7 +3,7 @@
 //! | offset | bytes | field |
 //! | --- | --- | --- |
 //! | 0 | 2 | magic, `46 53` ("FS") |
-//! | 2 | 1 | [`VERSION`](super::VERSION) |
+//! | 2 | 1 | [`VERSION`] |
 //! | 3 | 1 | [`Kind`] |
 //! | 4 | 4 | [schema hash](super::message::SCHEMA_HASH) |
 //! | 8 | 2 | payload length |
