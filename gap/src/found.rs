@@ -105,8 +105,8 @@ pub(crate) fn refit(
     Ok(Model { terms, fit, ranges: ranges.clone() })
 }
 
-/// Share of the whole gap.
-const NEARLY_ALL: f64 = 0.85;
+/// Share of the whole gap with which an axis decides every search.
+const DECIDES: f64 = 0.85;
 
 /// Axes that `model` leaves open are searched again, each by itself: what is loud and unknown on one axis must not hide what is
 /// quiet and known on another. Causes found that way join those of the other axes.
@@ -133,7 +133,7 @@ fn by_axis(
             .zip(&scene.channels)
             .map(|(row, c)| row.clone().filter(|_| c.axis == axis))
             .collect();
-        cost(&own) - noise_cost(scene, &own) > NEARLY_ALL * search.gap
+        cost(&own) - noise_cost(scene, &own) > DECIDES * search.gap
     };
     let open: Vec<usize> = (0..axes)
         .filter(|&a| gaps[a].counts && by_axis[a].is_some_and(|c| !accept::names(c)))

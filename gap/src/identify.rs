@@ -15,7 +15,7 @@ use crate::fit::{Effort, Fit, fit};
 use crate::floor::Kind;
 use crate::intake;
 use crate::knobs::{Knob, Prior, Target};
-use crate::pyramid::{BLOCK, low_pass};
+use crate::pyramid::{MOST_LEFT_OUT, low_pass, share_kept};
 use crate::scene::{Channel, Scene};
 use crate::split::hold_out_last_third;
 use crate::{Error, Options, slow};
@@ -24,8 +24,6 @@ use crate::{Error, Options, slow};
 const ROUNDS: usize = 6;
 /// Change of what is left in any band (its power) below which weights are not drawn again.
 const SETTLED: f64 = 0.05;
-/// Bands that may be left out, the fastest first: each is a factor of four in frequency.
-const MOST_LEFT_OUT: usize = 3;
 /// A model that leaves more of a band's power than this does not follow it.
 const UNEXPLAINED: f64 = 0.1;
 /// Of the first fit.
@@ -116,24 +114,13 @@ fn bands_to_leave_out(
 ) -> Result<usize, Error> {
     for left_out in 0..=MOST_LEFT_OUT {
         let mut slow = scene.clone();
-        leave_out(&mut slow, left_out);
+        slow.leave_out(left_out);
         let fit = fit(&slow, rig, knobs.to_vec(), start.to_vec(), EFFORT, None, include)?;
         if unexplained(scene, &fit.rig, left_out, include)? < UNEXPLAINED {
             return Ok(left_out);
         }
     }
     Ok(0)
-}
-
-fn leave_out(scene: &mut Scene, bands: usize) {
-    if bands > 0 {
-        scene.channels.iter_mut().for_each(|channel| channel.leave_out(bands));
-    }
-}
-
-/// Share of the frequencies up to half the sample rate that is kept.
-fn share_kept(left_out: usize) -> f64 {
-    (BLOCK as f64).powi(-(left_out as i32))
 }
 
 /// Share of the measured motion that a rig leaves in the fastest band that is kept, by power.
@@ -175,7 +162,7 @@ fn settle(
     include: &(dyn Fn(&Channel) -> bool + Sync),
 ) -> Result<Fit, Error> {
     let mut weighed = scene.clone();
-    leave_out(&mut weighed, left_out);
+    weighed.leave_out(left_out);
     let mut found = fit(&weighed, rig, knobs.clone(), start, EFFORT, None, include)?;
     let mut before: Option<Vec<f64>> = None;
     for _ in 0..ROUNDS {
@@ -195,7 +182,7 @@ fn settle(
             break;
         }
         before = Some(powers);
-        leave_out(&mut weighed, left_out);
+        weighed.leave_out(left_out);
         let effort = Effort { iterations: 6, ..EFFORT };
         found = fit(&weighed, rig, knobs.clone(), found.values, effort, None, include)?;
     }

@@ -104,6 +104,14 @@ pub fn centre_hz(level: usize, levels: &Levels, rate_hz: f64) -> f64 {
     }
 }
 
+/// Bands that may be left out, the fastest first: each is a factor of four in frequency.
+pub const MOST_LEFT_OUT: usize = 3;
+
+/// Share of the frequencies up to half the sample rate that is kept when the fastest bands are left out.
+pub fn share_kept(left_out: usize) -> f64 {
+    (BLOCK as f64).powi(-(left_out as i32))
+}
+
 /// What of a series is below a share of half its sample rate. Its bands are not sharp: without this a loud resonance reaches down
 /// into the slow ones.
 pub fn low_pass(series: &[f32], share: f64) -> Vec<f32> {

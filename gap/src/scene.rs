@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use crate::Error;
 use crate::floor::{self, Kind, Noise};
 use crate::intake::Track;
-use crate::pyramid::{BLOCK, Levels, low_pass, transform};
+use crate::pyramid::{Levels, low_pass, share_kept, transform};
 
 /// Share of the nominal gap of a band that a correct effect of another form may leave.
 pub const TOLERANCE: f64 = 0.05;
@@ -118,6 +118,13 @@ impl Scene {
             }
         }
         Self { tracks: Arc::new(tracks), channels, position_noise, monitor_noise, runs_on: true }
+    }
+
+    /// Give the `fastest` bands of every channel no weight.
+    pub fn leave_out(&mut self, fastest: usize) {
+        if fastest > 0 {
+            self.channels.iter_mut().for_each(|channel| channel.leave_out(fastest));
+        }
     }
 
     /// Simulate one recording, from these states of its axes (none: depoled) and with what went before.
@@ -319,7 +326,7 @@ impl Channel {
         for weight in &mut self.weights[..fastest.min(last)] {
             *weight = 0.0;
         }
-        self.kept_share = (BLOCK as f64).powi(-(fastest as i32));
+        self.kept_share = share_kept(fastest);
         self.orthonormalise();
     }
 

@@ -17,12 +17,10 @@ use crate::floor::Kind;
 use crate::found::{Found, refit};
 use crate::guess::Ranges;
 use crate::knobs::EffectRef;
-use crate::pyramid::{BLOCK, low_pass};
+use crate::pyramid::{MOST_LEFT_OUT, low_pass, share_kept};
 use crate::scene::{Channel, Scene, Stack};
 use crate::select::Search;
 
-/// Bands left out, at most: each is a factor of four in frequency.
-const MOST_LEFT_OUT: usize = 3;
 /// Linear effects that may stand beside a coupling.
 const BESIDE: [&str; 4] =
     ["drive-delay", "amplifier-bandwidth", "sensor-bandwidth", "viscoelasticity"];
@@ -42,9 +40,7 @@ pub(crate) fn cross_axis(
     let raw = scene.raw(rig, everything)?;
     for left_out in 1..=MOST_LEFT_OUT {
         let mut slow = scene.clone();
-        for channel in &mut slow.channels {
-            channel.leave_out(left_out);
-        }
+        slow.leave_out(left_out);
         let fitted = |c: &Channel| !c.held_out;
         let tick = || bar.inc(1);
         let mut search = Search::new(&slow, rig, &few, ranges, &fitted, &tick)?;
@@ -76,7 +72,7 @@ pub(crate) fn band(scene: &Scene, before: &Stack, after: &Stack, left_out: usize
     let mut sums = [0.0; 3];
     let mut samples = 0.0;
     let mut rate_hz: f64 = 0.0;
-    let share = (BLOCK as f64).powi(-(left_out as i32));
+    let share = share_kept(left_out);
     for (c, channel) in scene.channels.iter().enumerate() {
         let (Some(b), Some(a)) = (&before[c], &after[c]) else { continue };
         if channel.kind != Kind::Position || !channel.held_out {

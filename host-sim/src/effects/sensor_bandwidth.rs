@@ -30,7 +30,7 @@ static INFO: Info = Info {
 /// amplifier's time constant. After an 80 V edge a straight line would be tens of nm away from that.
 #[derive(Clone, Copy)]
 struct Approach {
-    /// Ticks per time constant; 0 is a straight line.
+    /// Time constants a tick; towards 0 it is a straight line.
     decay: f64,
     /// Slope at the start of a tick, per tick, for a displacement that gains 1 over the tick.
     slope: f64,
