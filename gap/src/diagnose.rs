@@ -124,7 +124,18 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
             // Nothing found in the fitted ones: the gap may be in the others alone.
             None => found::with_gap(&scene, &white, |c| c.held_out),
         };
-        if !missed.is_empty() && scene.tracks.len() >= 3 && !by_blocks {
+        // What does not even account for the recordings that it was fitted to will not do better with others.
+        let fits = match &found {
+            Some(f) => {
+                let after = scene.raw(&f.model.fit.rig, everything)?;
+                let fitted = |c: &Channel| !c.held_out;
+                let shrink =
+                    Energies::new(&scene, &nominal.raw, &after, &fitted).gap(rig.axes.len());
+                accept::names(shrink.closed)
+            }
+            None => found::with_gap(&scene, &white, |c| !c.held_out).is_empty(),
+        };
+        if fits && !missed.is_empty() && scene.tracks.len() >= 3 && !by_blocks {
             bar.set_message("looking again with other recordings");
             let first = scene.clone();
             split(&mut scene, &missed);
@@ -181,18 +192,23 @@ fn answer(
     let mut final_rig = rig.clone();
     let mut raw_after = raw_before.clone();
     let mut honest_after = raw_before.clone();
+    // What is promised is what a replay of single files gives: it knows nothing of the recording before.
+    let replayed = scene.file_by_file();
+    let mut replayed_after = raw_before.clone();
     if let Some(f) = &found {
         raw_after = scene.raw(&f.whole.fit.rig, everything)?;
         honest_after = scene.raw(&f.model.fit.rig, everything)?;
+        replayed_after = replayed.raw(&f.model.fit.rig, everything)?;
         final_rig = f.whole.fit.rig.clone();
     }
-    let energies = Energies::new(scene, raw_before, &honest_after, &held);
-    let gap = energies.gap(axes);
+    let in_order = Energies::new(scene, raw_before, &honest_after, &held).gap(axes);
+    let gap = Energies::new(scene, raw_before, &replayed_after, &held).gap(axes);
     let mut causes = Vec::new();
     let mut claimed = Vec::new();
     let mut staircase = Vec::new();
     if let Some(f) = &found {
-        let (mut list, claims, stairs) = causes_of(rig, scene, f, raw_before, &honest_after)?;
+        let (mut list, claims, stairs) =
+            causes_of(rig, (scene, &replayed), f, raw_before, &honest_after)?;
         let mut order: Vec<usize> = (0..list.len()).collect();
         order.sort_by(|&a, &b| list[b].closes.total_cmp(&list[a].closes));
         let total: f64 = list.iter().map(|c| c.closes).sum();
@@ -211,7 +227,7 @@ fn answer(
     let verdict = match (any_gap, &band) {
         (false, _) => Verdict::NoGap,
         (true, Some(_)) => Verdict::PartlyExplained,
-        (true, None) => accept::verdict(gap.closed, causes.len(), &left),
+        (true, None) => accept::verdict(in_order.closed, causes.len(), &left),
     };
     let location = if verdict == Verdict::NoGap {
         Vec::new()
@@ -220,7 +236,7 @@ fn answer(
     };
     let recordings = (0..scene.tracks.len())
         .map(|track| {
-            let every = Energies::new(scene, raw_before, &honest_after, &everything);
+            let every = Energies::new(scene, raw_before, &replayed_after, &everything);
             let (before_nm, after_nm) = every.of_track(track);
             let role = if scene.channels.iter().any(|c| c.track == track && !c.held_out) {
                 Role::Fit
@@ -237,12 +253,15 @@ fn answer(
     };
     let past_known = scene.tracks.iter().any(|t| !t.past.is_empty());
     if past_known && causes.iter().any(|c| c.effect == "creep") {
-        let what = if scene.runs_on {
-            "Creep runs on from one recording to the next here; a replay of a single file starts without it."
+        notes.push(if scene.runs_on {
+            format!(
+                "Creep runs on from one recording to the next here. The figures are those of a replay of single files, which starts \
+                 without it; taken in the session's order the same rig leaves {:.1} nm of held-out recordings.",
+                in_order.after_nm
+            )
         } else {
-            "Every recording begins with a stack that no longer creeps from the one before."
-        };
-        notes.push(what.into());
+            "Every recording begins with a stack that no longer creeps from the one before.".into()
+        });
     }
     let diagnosis =
         Diagnosis { verdict, gap, location, causes, next_experiment, recordings, band, notes };

@@ -31,6 +31,9 @@ pub struct Fit {
     pub at_bound: Vec<bool>,
 }
 
+/// Share of what is left that an iteration takes off while a fit is still on its way.
+const FAST: f64 = 0.3;
+
 /// How long and on what to fit.
 #[derive(Clone, Copy)]
 pub struct Effort {
@@ -40,7 +43,7 @@ pub struct Effort {
     pub tolerance: f64,
     /// Cost that no model can go below: that of the noise.
     pub floor: f64,
-    /// Give up after two iterations that leave more than this cost.
+    /// Give up after two iterations that leave more than this cost and no longer fall fast.
     pub hopeless: f64,
 }
 
@@ -86,7 +89,7 @@ fn from_step(knob: &Knob, coordinate: f64) -> f64 {
 /// Step of the finite difference in internal coordinates: large enough to see past kinks, small enough to be local.
 fn difference(knob: &Knob, coordinate: f64) -> f64 {
     if let Some(step) = knob.fixed_step {
-        return if knob.log { 0.05 } else { step / knob.scale };
+        return if knob.log { step } else { step / knob.scale };
     }
     let step = if knob.log { 0.05 } else { 0.05 * coordinate.abs().max(0.2) };
     // Step inwards at the upper bound.
@@ -260,8 +263,10 @@ pub fn fit(
     let mut best = costs(scene, &stack, &knobs, &values, &of_axis, &of_knob, parts);
     let mut lambda = vec![1.0e-3; parts];
     let mut normal = DMatrix::zeros(knobs.len(), knobs.len());
+    let mut falls_fast = true;
     for iteration in 0..effort.iterations {
-        if knobs.is_empty() || (iteration >= 2 && best.iter().sum::<f64>() > effort.hopeless) {
+        let hopeless = best.iter().sum::<f64>() > effort.hopeless && !falls_fast;
+        if knobs.is_empty() || (iteration >= 2 && hopeless) {
             break;
         }
         let sensitivities = Sensitivities::at(scene, base, &knobs, &values, &stack, include)?;
@@ -325,6 +330,7 @@ pub fn fit(
             }
         }
         let now: f64 = best.iter().sum();
+        falls_fast = before - now > FAST * (before - effort.floor);
         if before - now < (effort.tolerance * (before - effort.floor)).max(1.0) {
             break;
         }
@@ -385,7 +391,8 @@ fn costs(
     for (k, knob) in knobs.iter().enumerate() {
         sums[of_knob[k]] += prior_cost(std::slice::from_ref(knob), &values[k..=k]);
     }
-    sums
+    // A model that runs away is as bad as can be.
+    sums.into_iter().map(|sum| if sum.is_finite() { sum } else { f64::INFINITY }).collect()
 }
 
 /// What the priors add to the cost.
@@ -433,12 +440,11 @@ fn step(
     for (i, &k) in free.iter().enumerate() {
         let coordinate = to_step(&knobs[k], values[k]);
         // A log step beyond a factor of e^1.5 or four natural sizes leaves the region where the slope means anything.
-        let limit = if knobs[k].fixed_step.is_some() {
-            20.0
-        } else if knobs[k].log {
-            1.5
-        } else {
-            4.0 * coordinate.abs().max(1.0)
+        let limit = match (knobs[k].fixed_step, knobs[k].log) {
+            (Some(_), false) => 20.0,
+            (Some(step), true) => 20.0 * step,
+            (None, true) => 1.5,
+            (None, false) => 4.0 * coordinate.abs().max(1.0),
         };
         moved[k] = from_step(&knobs[k], coordinate + delta[i].clamp(-limit, limit));
     }

@@ -16,7 +16,7 @@ use crate::guess::Ranges;
 use crate::knobs::EffectRef;
 use crate::model::{Model, Term, knobs_of, start_terms};
 use crate::scene::{Channel, Scene, Stack, Wanted};
-use crate::select::{Search, noise_cost};
+use crate::select::{Breadth, Search, noise_cost};
 
 /// A search that found something.
 pub(crate) struct Found {
@@ -151,6 +151,7 @@ fn by_axis(
         let tick = || {};
         let ranges = search.ranges.clone();
         let mut alone = Search::new(scene, rig, effects, &ranges, &include, &tick)?;
+        alone.breadth = Breadth::BRIEF;
         let Some(own) = alone.run()? else { continue };
         if !closed(&own.fit.rig)?[axis].is_some_and(accept::names) {
             continue;

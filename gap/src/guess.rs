@@ -285,10 +285,13 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
         }
         "preload-loss" => {
             for share in [0.08, 0.2, 0.35, 0.55, 0.8] {
-                wanted.push(with(&[
-                    ("lost_share", typical("lost_share")),
-                    ("contact_m", near + share * span),
-                ]));
+                for since_zero in [0.0, 1.0] {
+                    wanted.push(with(&[
+                        ("lost_share", typical("lost_share")),
+                        ("contact_m", near + share * span),
+                        ("since_zero", since_zero),
+                    ]));
+                }
             }
         }
         "stiffness-hardening" => {
@@ -375,6 +378,19 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             ]));
             wanted.push(with(&[("damping_n_s_per_m", typical("damping_n_s_per_m"))]));
         }
+        "hysteresis-rate" => {
+            let resistance = ("resistance_ohm", typical("resistance_ohm"));
+            wanted.push(with(&[("per_decade", typical("per_decade"))]));
+            wanted.push(with(&[resistance]));
+            wanted.push(with(&[resistance, ("loss_exponent", 0.4)]));
+        }
+        "sensor-nonlinearity" => {
+            for zero_m in [0.0, far] {
+                for name in ["quadratic_per_m", "cubic_per_m2"] {
+                    wanted.push(with(&[(name, typical(name)), ("zero_m", zero_m)]));
+                }
+            }
+        }
         "friction" => {
             for metres in [0.003, 0.03, 0.2] {
                 wanted.push(with(&[
@@ -398,7 +414,14 @@ pub fn fine_step(effect: &str, parameter: &str, ranges: &Ranges) -> Option<f64> 
     let span = (ranges.travel_m.1 - ranges.travel_m.0).max(1.0e-9);
     match (effect, parameter) {
         ("amplifier-clipping", "max_v" | "min_v") => Some(5.0e-3 * (high - low)),
-        ("preload-loss", "contact_m") | ("stiffness-hardening", "kink_m") => Some(1.0e-2 * span),
+        ("preload-loss", "contact_m")
+        | ("stiffness-hardening", "kink_m")
+        | ("sensor-nonlinearity", "zero_m") => Some(1.0e-2 * span),
+        // A light damping makes a dip of one per cent in the mass: a thousandth of one whose resonance is a quarter of the rate.
+        ("inertia", "added_kg") => {
+            let fast = 0.25 * std::f64::consts::TAU * ranges.rate_hz;
+            Some(2.0e-3 * ranges.stiffness_n_per_m / (fast * fast))
+        }
         // A tenth of a turn over the longest recording.
         ("sensor-hum" | "amplifier-hum", "frequency_hz") => Some(0.02 / ranges.longest_s.max(1.0)),
         _ => None,

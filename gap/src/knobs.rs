@@ -179,6 +179,15 @@ pub fn places(effect: EffectRef, axes: usize) -> Vec<Place> {
     }
 }
 
+/// Fastest mode that is told from inertia, as a share of the sample rate.
+const FASTEST_MODE: f64 = 0.35;
+
+/// Step in the frequency of a mode, as a ratio: a lightly damped one is a per cent wide.
+const MODE_STEP: f64 = 4.0e-3;
+
+/// Farthest end of a gauge's calibration, as a multiple of the travel.
+const FARTHEST_ZERO: f64 = 1.5;
+
 /// Knobs of an effect at one place: sizes and shapes in the order of its parameters.
 pub fn knobs_at(effect: EffectRef, place: Place, ranges: &Ranges) -> Vec<Knob> {
     let info = effect.info();
@@ -187,6 +196,15 @@ pub fn knobs_at(effect: EffectRef, place: Place, ranges: &Ranges) -> Vec<Knob> {
         .enumerate()
         .map(|(index, p)| {
             let mut knob = Knob::effect(effect, place, index);
+            // A mass on a spring that is faster than the samples can tell is one that sits fast: inertia.
+            if (info.name, p.name) == ("second-mass", "frequency_hz") {
+                knob.max = knob.max.min(FASTEST_MODE * ranges.rate_hz);
+                knob.fixed_step = Some(MODE_STEP);
+            }
+            // A bend that ends far beyond the travel is a gain.
+            if (info.name, p.name) == ("sensor-nonlinearity", "zero_m") {
+                knob.max = knob.max.min(FARTHEST_ZERO * ranges.travel_m.1.abs());
+            }
             if let Some(step) = fine_step(info.name, p.name, ranges) {
                 knob.origin = 0.0;
                 knob.scale = step;

@@ -27,11 +27,13 @@ mod past;
 pub mod picture;
 pub mod platform;
 pub mod pyramid;
+mod resonance;
 pub mod scene;
-pub mod screen;
+mod screen;
 pub mod select;
 mod slow;
 pub mod split;
+mod trade;
 
 pub use diagnose::{Outcome, diagnose};
 pub use diagnosis::Diagnosis;

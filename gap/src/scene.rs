@@ -120,6 +120,11 @@ impl Scene {
         Self { tracks: Arc::new(tracks), channels, position_noise, monitor_noise, runs_on: true }
     }
 
+    /// The same session, every recording taken by itself, as a replay of a single file does: nothing runs on from the one before.
+    pub fn file_by_file(&self) -> Self {
+        Self { runs_on: false, ..self.clone() }
+    }
+
     /// Give the `fastest` bands of every channel no weight.
     pub fn leave_out(&mut self, fastest: usize) {
         if fastest > 0 {

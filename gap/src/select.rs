@@ -15,12 +15,26 @@ use crate::model::{Model, Term, knobs_of, start_terms};
 use crate::scene::{Channel, Scene, Stack, Wanted, dot};
 use crate::screen::{Gain, Screen, screen};
 
-/// Singles that are fitted after the screen.
-const SHORTLIST: usize = 7;
-/// Models that the search for a further effect starts from.
-const BEAM: usize = 3;
-/// Partners that are fitted for each of them.
-const PARTNERS: usize = 3;
+/// How many of the promising models a search fits.
+#[derive(Debug, Clone, Copy)]
+pub struct Breadth {
+    /// Singles that are fitted after the screen.
+    shortlist: usize,
+    /// Models that the search for a further effect starts from.
+    beam: usize,
+    /// Partners that are fitted for each of them.
+    partners: usize,
+    /// Effects that are tried in the place of each one of the model chosen.
+    swaps: usize,
+}
+
+impl Breadth {
+    /// For the session as a whole.
+    pub const FULL: Self = Self { shortlist: 7, beam: 3, partners: 3, swaps: 3 };
+    /// For what a full search has left open.
+    pub const BRIEF: Self = Self { shortlist: 5, beam: 2, partners: 2, swaps: 1 };
+}
+
 /// Most effects in a model.
 pub const MOST_EFFECTS: usize = 3;
 /// A further effect must remove this share of what the model before it leaves.
@@ -31,6 +45,10 @@ const WORTH_OF_GAP: f64 = 0.01;
 const NEARLY_ALL: f64 = 0.7;
 /// ... and this much cost in all, against noise.
 const WORTH_ABSOLUTE: f64 = 60.0;
+/// The first effect must remove this share of the gap: three of less never make an explanation.
+const WORTH_OF_FIRST: f64 = 0.05;
+/// Share of the gain that is needed which a partner must promise by linear prediction to be fitted.
+const PROMISE: f64 = 0.3;
 /// A place of an effect must be worth this much cost to stay.
 const WORTH_OF_PLACE: f64 = 40.0;
 
@@ -52,9 +70,11 @@ pub struct Search<'a> {
     pub tried: Vec<Model>,
     /// What the session offers.
     pub ranges: Ranges,
+    /// How much to try.
+    pub breadth: Breadth,
     /// Bit mask of the axes where something is missing.
     loud: u32,
-    include: &'a (dyn Fn(&Channel) -> bool + Sync),
+    pub(crate) include: &'a (dyn Fn(&Channel) -> bool + Sync),
     tick: &'a (dyn Fn() + Sync),
 }
 
@@ -82,6 +102,7 @@ impl<'a> Search<'a> {
             noise,
             tried: Vec::new(),
             ranges: ranges.clone(),
+            breadth: Breadth::FULL,
             loud,
             include,
             tick,
@@ -91,7 +112,7 @@ impl<'a> Search<'a> {
     /// Find the model. `None` when no single effect is worth anything.
     pub fn run(&mut self) -> Result<Option<Model>, Error> {
         let nominal_gains = self.screen.test(self.scene, &self.base, None);
-        let singles = self.shortlist(&nominal_gains, &[], SHORTLIST);
+        let singles = self.shortlist(&nominal_gains, &[], self.breadth.shortlist);
         for (effect, gains) in singles {
             let model = self.fit_terms(&[], effect, &gains)?;
             self.remember(model);
@@ -101,15 +122,12 @@ impl<'a> Search<'a> {
             let Some(candidate) = self.best_of(size) else { break };
             let leftover = best.as_ref().map_or(self.gap, |b| b.fit.cost - self.noise);
             let saved = leftover - (candidate.fit.cost - self.noise);
-            let worth = if size == 1 {
-                saved > WORTH_ABSOLUTE
+            let needed = if size == 1 {
+                WORTH_ABSOLUTE.max(WORTH_OF_FIRST * self.gap)
             } else {
-                let fair = saved > WORTH_OF_LEFTOVER * leftover && saved > WORTH_OF_GAP * self.gap;
-                // A small effect beside a large one: it must account for nearly all that the large one leaves.
-                let rest = saved > NEARLY_ALL * leftover && saved > 0.1 * WORTH_OF_GAP * self.gap;
-                saved > WORTH_ABSOLUTE && (fair || rest)
+                self.worth_of_further(leftover)
             };
-            if !worth {
+            if saved <= needed {
                 break;
             }
             let left = candidate.fit.cost - self.noise;
@@ -121,6 +139,8 @@ impl<'a> Search<'a> {
         }
         match best {
             Some(model) => {
+                let model = self.swap(model)?;
+                let model = self.trade(model)?;
                 let pruned = self.prune(model)?;
                 let (terms, start): (Vec<Term>, Vec<Vec<f64>>) =
                     start_terms(&pruned).into_iter().unzip();
@@ -131,14 +151,29 @@ impl<'a> Search<'a> {
         }
     }
 
+    /// Cost that one more effect must remove where `leftover` is left.
+    fn worth_of_further(&self, leftover: f64) -> f64 {
+        let fair = (WORTH_OF_LEFTOVER * leftover).max(WORTH_OF_GAP * self.gap);
+        // A small effect beside a large one: it must account for nearly all that the large one leaves.
+        let rest = (NEARLY_ALL * leftover).max(0.1 * WORTH_OF_GAP * self.gap);
+        WORTH_ABSOLUTE.max(fair.min(rest))
+    }
+
+    /// Cost that another effect must remove in place of one, where `leftover` is left.
+    pub(crate) fn worth_of_change(&self, leftover: f64) -> f64 {
+        WORTH_ABSOLUTE.max(WORTH_OF_LEFTOVER * leftover).max(0.1 * WORTH_OF_GAP * self.gap)
+    }
+
     /// Fit the best models of `size` effects together with their most promising partners.
     fn widen(&mut self, size: usize) -> Result<(), Error> {
         let mut starts: Vec<Model> =
             self.tried.iter().filter(|m| m.terms.len() == size).cloned().collect();
         starts.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
-        starts.truncate(BEAM);
+        starts.truncate(self.breadth.beam);
         let reach = starts.first().map_or(0.0, |b| b.fit.cost + 0.3 * self.gap);
         starts.retain(|m| m.fit.cost <= reach);
+        let best = starts.first().map_or(0.0, |b| b.fit.cost);
+        let wanted = best - self.worth_of_further(best - self.noise);
         for start in starts {
             let f = &start.fit;
             let sensitivities = Sensitivities::at(
@@ -151,7 +186,11 @@ impl<'a> Search<'a> {
             )?;
             let gains = self.screen.test(self.scene, &f.stack, Some(&sensitivities));
             let names: Vec<&str> = start.terms.iter().map(Term::name).collect();
-            for (effect, gains) in self.shortlist(&gains, &names, PARTNERS) {
+            for (effect, gains) in self.shortlist(&gains, &names, self.breadth.partners) {
+                let promised: f64 = gains.iter().map(|g| g.gain).sum();
+                if promised < PROMISE * (start.fit.cost - wanted) {
+                    continue;
+                }
                 let mut key = start.key();
                 key.push(effect.info().name);
                 key.sort_unstable();
@@ -165,8 +204,44 @@ impl<'a> Search<'a> {
         Ok(())
     }
 
+    /// Try others in the place of each effect of a model of several. An effect that was fitted alone, or beside a wrong one, made
+    /// up for what it lacked: what suits best beside it may only show once it has found its own size.
+    fn swap(&mut self, model: Model) -> Result<Model, Error> {
+        let size = model.terms.len();
+        if size < 2 {
+            return Ok(model);
+        }
+        let names = model.key();
+        for t in 0..size {
+            let mut others = start_terms(&model);
+            others.remove(t);
+            let (terms, values): (Vec<Term>, Vec<Vec<f64>>) = others.iter().cloned().unzip();
+            let rig = model.without(self.nominal, t, |_| true)?;
+            let stack = self.scene.residuals(&[(&rig, Wanted::ALL)], self.include)?.remove(0);
+            let sensitivities = Sensitivities::at(
+                self.scene,
+                self.nominal,
+                &knobs_of(&terms, &self.ranges),
+                &values.concat(),
+                &stack,
+                self.include,
+            )?;
+            let gains = self.screen.test(self.scene, &stack, Some(&sensitivities));
+            for (effect, gains) in self.shortlist(&gains, &names, self.breadth.swaps) {
+                let mut key: Vec<&str> = terms.iter().map(Term::name).collect();
+                key.push(effect.info().name);
+                key.sort_unstable();
+                if self.tried.iter().all(|m| m.key() != key) {
+                    let model = self.fit_terms(&others, effect, &gains)?;
+                    self.remember(model);
+                }
+            }
+        }
+        Ok(self.best_of(size).unwrap_or(model))
+    }
+
     /// Best effects by predicted gain, with the places that are worth fitting.
-    fn shortlist(
+    pub(crate) fn shortlist(
         &self,
         gains: &[Vec<Gain>],
         taken: &[&str],
@@ -202,7 +277,8 @@ impl<'a> Search<'a> {
         let mut terms: Vec<Term> = known.iter().map(|(t, _)| t.clone()).collect();
         let mut start: Vec<f64> = known.iter().flat_map(|(_, v)| v.iter().copied()).collect();
         let mut places: Vec<Place> = gains.iter().map(|g| g.place).collect();
-        start.extend(gains.iter().flat_map(|g| g.start.iter().copied()));
+        let starts = gains.iter().map(|g| g.start.clone()).collect();
+        start.extend(self.tuned(known, effect, &places, starts)?.concat());
         // An axis where no setting of the screen came near enough to gain anything starts from what suits the others best;
         // pruning takes it out again if it needs none.
         if let Some(best) = gains.iter().max_by(|a, b| a.gain.total_cmp(&b.gain))
@@ -230,7 +306,8 @@ impl<'a> Search<'a> {
 
     /// Axes may have run into different local minima: start all of them from the values of each other, and keep what is better.
     fn even_out(&self, model: Model, effort: Effort) -> Result<Model, Error> {
-        if model.fit.cost > effort.hopeless {
+        let saves = cost(&self.base) - model.fit.cost;
+        if model.fit.cost > effort.hopeless || saves < WORTH_OF_FIRST * self.gap {
             return Ok(model);
         }
         let last = model.terms.len() - 1;
@@ -298,7 +375,8 @@ impl<'a> Search<'a> {
         Ok(Model { terms, fit, ranges: self.ranges.clone() })
     }
 
-    fn remember(&mut self, model: Model) {
+    /// Keep a fitted model for what follows, and as a rival.
+    pub(crate) fn remember(&mut self, model: Model) {
         self.tried.push(model);
         self.tried.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
     }

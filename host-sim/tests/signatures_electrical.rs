@@ -119,6 +119,11 @@ fn sensor_effects_act_on_the_reading() {
     let bent: Vec<f64> = x.iter().map(|x| x + 1e3 * x * x - 2e8 * x * x * x).collect();
     let values = [("quadratic_per_m", 1e3), ("cubic_per_m2", -2e8)];
     assert!(worst(&read("sensor-nonlinearity", &values), &bent) < 1e-18);
+    // Calibrated by a line from 0 to 9 um: right at both ends, and a cubic at the middle too.
+    let values = [("quadratic_per_m", 1e3), ("cubic_per_m2", -2e8), ("zero_m", 9e-6)];
+    let bowed: Vec<f64> =
+        x.iter().map(|x| x + x * (x - 9e-6) * 1e3 - 2e8 * x * (x - 4.5e-6) * (x - 9e-6)).collect();
+    assert!(worst(&read("sensor-nonlinearity", &values), &bowed) < 1e-18);
     // On a ramp a low-pass lags by its time constant.
     let slow = read("sensor-bandwidth", &[("time_constant_s", 3e-4)]);
     let lag = (x[1000] - slow[1000]) / (x[1001] - x[1000]) * 1e-4;

@@ -124,6 +124,33 @@ fn a_kink_stands_at_one_displacement() {
 }
 
 #[test]
+fn a_gauge_that_was_zeroed_before_the_preload_went_shows_it_at_rest() {
+    let open = |since_zero: f64| {
+        let values = [
+            ("lost_share", 1.0),
+            ("contact_m", 3e-6),
+            ("softness_m", 1e-9),
+            ("since_zero", since_zero),
+        ];
+        run(&single("preload-loss", &values), 1e4, 0.5, triangle(90.0, 1.0)).position_m.remove(0)
+    };
+    let closed = run(&one_axis(), 1e4, 0.5, triangle(90.0, 1.0)).position_m.remove(0);
+    let [after, before] = [0.0, 1.0].map(open);
+    assert!(after[0].abs() < 1e-12, "{}", after[0]);
+    // The lost spring of 4.8e6 N/m pushed it 3 um up; now the stack alone, and its charge branch, hold it.
+    let expected = over_branch(|branch| -4.8e6 * 3e-6 / (48.6e6 + branch));
+    assert!(
+        (expected.start.min(expected.end)..0.0).contains(&before[0]),
+        "{} {expected:?}",
+        before[0]
+    );
+    // Closed, it is as it always was; zeroed after, all of the opening is missing.
+    let top = |x: &[f64]| x[4990];
+    assert!((top(&before) - top(&closed)).abs() < 2e-8, "{} {}", top(&before), top(&closed));
+    assert!(top(&after) - top(&closed) > 1e-7, "{} {}", top(&after), top(&closed));
+}
+
+#[test]
 fn inertia_rings_at_the_root_of_stiffness_over_mass() {
     let rig = single("inertia", &[("added_kg", 0.3), ("added_damping_n_s_per_m", 100.0)]);
     // All elements hold at this amplitude: the charge branch stiffens the mode.

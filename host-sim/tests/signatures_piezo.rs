@@ -86,6 +86,23 @@ fn rate_dependence_widens_the_fast_loop_and_leaves_the_slow_one() {
 }
 
 #[test]
+fn a_series_loss_goes_with_the_stated_power_of_the_current() {
+    let area = |rig: &Rig, hz: f64| {
+        let output = run(rig, 1e4, 3.0 / hz, triangle(60.0, hz));
+        let n = (1e4 / hz) as usize;
+        loop_area(&output.monitor_v[0][2 * n..], &output.position_m[0][2 * n..])
+    };
+    let lost = |rig: &Rig, hz: f64| area(rig, hz) - area(&one_axis(), hz);
+    for exponent in [0.3, 0.5, 1.0] {
+        let rig =
+            single("hysteresis-rate", &[("resistance_ohm", 100.0), ("loss_exponent", exponent)]);
+        let decade = lost(&rig, 20.0) / lost(&rig, 2.0);
+        let expected = 10.0_f64.powf(exponent);
+        assert!((decade / expected - 1.0).abs() < 0.1, "{exponent}: {decade} {expected}");
+    }
+}
+
+#[test]
 fn creep_goes_with_the_logarithm_of_time_and_with_the_step() {
     let rig = single("creep", &[("per_decade", 0.015)]);
     let grown = |height: f64| {

@@ -16,12 +16,13 @@ static INFO: Info = Info {
     scope: Scope::Axis,
     parameters: &[
         Parameter::size("per_decade", "1", 0.0, (-0.5, 2.0), 0.05, "growth of the slip limits a decade of current"),
-        Parameter::size("resistance_ohm", "Ohm", 0.0, (0.0, 1.0e6), 50.0, "loss in series with the elements"),
+        Parameter::size("resistance_ohm", "Ohm", 0.0, (0.0, 1.0e6), 50.0, "loss in series with the elements, at a current of 1 mA"),
         Parameter::shape("reference_a", "A", (1.0e-8, 10.0), 1.0e-4, "current from which the limits grow").by_ratio(),
         Parameter::shape("stiffening", "1", (0.0, 1.0), 0.5, "share of the growth that the elements' stiffness takes part in"),
+        Parameter::shape("loss_exponent", "1", (0.1, 1.0), 1.0, "power of the current that the voltage of the series loss goes with"),
     ],
     threshold: false,
-    physics: "limit_i' = limit_i (1 + per_decade lg(1 + |dq/dt|/reference)), and resistance dq/dt in series: domain \
+    physics: "limit_i' = limit_i (1 + per_decade lg(1 + |dq/dt|/reference)), and resistance 1 mA (|dq/dt| / 1 mA)^loss_exponent in series: domain \
               walls need a larger field to move faster. With stiffening 1 the whole hysteresis voltage grows instead. A reference beyond all currents makes the growth linear in \
               speed. Loop width at 0 Hz is untouched.",
     source: "rate-dependent Prandtl-Ishlinskii models, thresholds alpha + beta |du/dt|, 10.5772/58984 (notes/physics.md, 2)",
@@ -51,6 +52,7 @@ impl Effect for HysteresisRate {
     fn apply(&self, values: &[f64], place: Place, model: &mut Model, _step_s: f64) {
         let piezo = &mut model.axes[place.on()].piezo;
         piezo.resistance_ohm += values[1];
+        piezo.loss_exponent = values[4];
         if values[0] != 0.0 {
             piezo.rate =
                 Some(Box::new(LimitGrowth { per_decade: values[0], reference_a: values[2], stiffening: values[3] }));

@@ -15,9 +15,11 @@ static INFO: Info = Info {
     parameters: &[
         Parameter::size("quadratic_per_m", "1/m", 0.0, (-1.0e6, 1.0e6), 1.0e3, "second-order term"),
         Parameter::size("cubic_per_m2", "1/m^2", 0.0, (-1.0e12, 1.0e12), 1.0e8, "third-order term"),
+        Parameter::shape("zero_m", "m", (0.0, 1.0e-3), 0.0, "displacement at which the reading is right again: the far end of the line that the gauge was calibrated by"),
     ],
     threshold: false,
-    physics: "y = x + quadratic x^2 + cubic x^3: bridge and conditioner. A static function of the displacement: gain \
+    physics: "y = x + quadratic x (x - zero) + cubic x (x - zero) (x - zero/2): bridge and conditioner, as a data sheet states them, \
+              by the deviation from a line through both ends. A static function of the displacement: gain \
               moves with bias, the resonance does not, the monitor shows nothing.",
     source: "gauge accuracy 1 %; ADC integral error of 2 to 3 LSB (notes/physics.md, sections 4 and 7)",
     revealed_by: "large triangles, small signals at several biases",
@@ -27,11 +29,14 @@ static INFO: Info = Info {
 struct Bend {
     quadratic: f64,
     cubic: f64,
+    zero_m: f64,
 }
 
 impl SensorBlock for Bend {
     fn read(&mut self, value_m: f64, _bare_m: &[f64], _time_s: f64) -> f64 {
-        value_m + value_m * value_m * (self.quadratic + self.cubic * value_m)
+        let beyond_m = value_m - self.zero_m;
+        let beyond_middle_m = value_m - 0.5 * self.zero_m;
+        value_m + value_m * beyond_m * (self.quadratic + self.cubic * beyond_middle_m)
     }
 }
 
@@ -41,7 +46,7 @@ impl Effect for SensorNonlinearity {
     }
 
     fn apply(&self, values: &[f64], place: Place, model: &mut Model, _step_s: f64) {
-        let bend = Bend { quadratic: values[0], cubic: values[1] };
+        let bend = Bend { quadratic: values[0], cubic: values[1], zero_m: values[2] };
         model.axes[place.on()].sensor.blocks.push(Box::new(bend));
     }
 }

@@ -64,6 +64,9 @@ pub struct AmplifierModel {
     pub output: Vec<Box<dyn OutputBlock>>,
 }
 
+/// Current at which a loss that goes with a power of the current is stated, A: that of a slow triangle.
+pub const LOSS_AT_A: f64 = 1.0e-3;
+
 /// Stack: Goldfarb-Celanovic with optional loss, skew and slow strain.
 pub struct PiezoModel {
     /// Transformer ratio, N/V.
@@ -82,8 +85,10 @@ pub struct PiezoModel {
     pub limits_v: Vec<f64>,
     /// Growth of the hysteresis voltage with charge, 1/C.
     pub skew_per_c: f64,
-    /// Loss in series with the elements, V per A.
+    /// Loss in series with the elements, V per A at a current of [`LOSS_AT_A`].
     pub resistance_ohm: f64,
+    /// Power of the current that the voltage of this loss goes with, 1.
+    pub loss_exponent: f64,
     /// How the limits grow with current.
     pub rate: Option<Box<dyn RateLaw>>,
     /// Slow strain.
@@ -212,6 +217,7 @@ impl AxisModel {
                 limits_v: piezo.hysteresis.limit_v.clone(),
                 skew_per_c: 0.0,
                 resistance_ohm: 0.0,
+                loss_exponent: 1.0,
                 rate: None,
                 creep: Vec::new(),
             },

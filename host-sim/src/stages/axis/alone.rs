@@ -1,7 +1,7 @@
 //! The whole tick in one piece, for an axis that no spring ties to another one and no nonlinear force acts on: what
 //! nearly every simulation runs. `begin`, `solve`, `commit` give the same numbers to rounding and serve the rest.
 
-use super::AxisSim;
+use super::{AxisSim, Drag};
 use crate::stages::amplifier::AmplifierSim;
 use crate::stages::creep::CreepSim;
 use crate::stages::hysteresis::{Branch, Elements, SlipElements};
@@ -83,7 +83,7 @@ struct Parts<'a> {
     ticks: &'a [Tick],
     levels_per_slope: f64,
     transformer: f64,
-    drag_v_per_c: f64,
+    drag: Drag,
     skew_per_c: f64,
     step_s: f64,
     free_elastance: f64,
@@ -118,7 +118,7 @@ impl AxisSim {
             ticks: &self.ticks,
             levels_per_slope: self.levels_per_slope,
             transformer: self.transformer,
-            drag_v_per_c: self.drag_v_per_c,
+            drag: self.drag,
             skew_per_c: self.skew_per_c,
             step_s: self.step_s,
             free_elastance,
@@ -145,6 +145,8 @@ impl Parts<'_> {
         mut reached: impl FnMut(usize, f64, f64),
     ) {
         let creeping = !self.creep.is_empty();
+        let mut drag = self.drag;
+        let needs_current = self.rate.is_some() || drag.depends_on_current();
         let (mut before_v, mut transducer_v) = (*self.output_v, *self.transducer_v);
         let mut force_n = *self.force_n;
         let [mut x, mut w] = self.mechanism.motion();
@@ -152,7 +154,7 @@ impl Parts<'_> {
             charge_at_zero_c: 0.0,
             capacitance_f: 0.0,
             input_v: 0.0,
-            drag_v_per_c: self.drag_v_per_c,
+            drag_v_per_c: self.drag.v_per_c,
             skew_per_c: self.skew_per_c,
             limit_scale: 1.0,
             sum_scale: 1.0,
@@ -163,9 +165,13 @@ impl Parts<'_> {
                 tangent_v_per_c: elements.tangent_v_per_c(),
             };
             let input_v = output(self.amplifier, before_v, load);
-            if let Some(rate) = self.rate {
+            if needs_current {
                 let current = (input_v - before_v) * load.capacitance_f() / self.step_s;
-                (branch.limit_scale, branch.sum_scale) = rate.scales(current.abs());
+                if let Some(rate) = self.rate {
+                    (branch.limit_scale, branch.sum_scale) = rate.scales(current.abs());
+                }
+                drag.at(current);
+                branch.drag_v_per_c = drag.v_per_c;
             }
             let tangent = elements.tangent_towards(input_v >= before_v);
             let level =

@@ -9,7 +9,7 @@ use super::amplifier::AmplifierSim;
 use super::creep::CreepSim;
 use super::hysteresis::{Branch, Elements, SlipElements};
 use super::mechanism::LinearMechanism;
-use super::model::{AxisModel, Force, RateLaw};
+use super::model::{AxisModel, Force, LOSS_AT_A, RateLaw};
 use crate::start::{Initial, Memory};
 
 pub use alone::Load;
@@ -30,7 +30,7 @@ pub struct AxisSim {
     rate: Option<Box<dyn RateLaw>>,
     transformer: f64,
     capacitance: f64,
-    drag_v_per_c: f64,
+    drag: Drag,
     skew_per_c: f64,
     step_s: f64,
     levels_per_slope: f64,
@@ -51,6 +51,36 @@ pub struct AxisSim {
     next_transducer_v: f64,
     next_position_m: f64,
     next_force_n: f64,
+}
+
+/// Loss in series with the elements, as the voltage that a coulomb drawn in one tick meets, V/C.
+#[derive(Debug, Clone, Copy)]
+struct Drag {
+    /// With an exponent of 1, and at [`LOSS_AT_A`] with any other.
+    linear_v_per_c: f64,
+    /// Power of the current that the voltage goes with.
+    exponent: f64,
+    /// In this tick.
+    v_per_c: f64,
+}
+
+impl Drag {
+    /// Smallest share of [`LOSS_AT_A`] at which the power law still rises: a root has an infinite slope at zero.
+    const LEAST_SHARE: f64 = 1.0e-3;
+
+    #[inline]
+    fn depends_on_current(&self) -> bool {
+        self.exponent != 1.0 && self.linear_v_per_c != 0.0
+    }
+
+    /// Take the secant of the power law at the current that a tick is expected to draw, A.
+    #[inline]
+    fn at(&mut self, current_a: f64) {
+        if self.depends_on_current() {
+            let share = (current_a.abs() / LOSS_AT_A).max(Self::LEAST_SHARE);
+            self.v_per_c = self.linear_v_per_c * share.powf(self.exponent - 1.0);
+        }
+    }
 }
 
 /// Levels of the stiffening by the hysteresis branch, from all elements slipping to none.
@@ -100,7 +130,11 @@ impl AxisSim {
             rate: piezo.rate,
             transformer: piezo.transformer_n_per_v,
             capacitance: piezo.capacitance_f,
-            drag_v_per_c: piezo.resistance_ohm / step_s,
+            drag: Drag {
+                linear_v_per_c: piezo.resistance_ohm / step_s,
+                exponent: piezo.loss_exponent,
+                v_per_c: piezo.resistance_ohm / step_s,
+            },
             skew_per_c: piezo.skew_per_c,
             step_s,
             amplifier: AmplifierSim::new(model.drive, model.amplifier, step_s),
@@ -209,9 +243,12 @@ impl AxisSim {
         if !self.creep.is_empty() {
             (self.slow_v, self.slow_per_v) = self.creep.begin(self.transducer_v);
         }
-        if let Some(rate) = &self.rate {
+        if self.rate.is_some() || self.drag.depends_on_current() {
             let current = (output_v - self.output_v) * self.load().capacitance_f() / self.step_s;
-            (self.limit_scale, self.sum_scale) = rate.scales(current.abs());
+            if let Some(rate) = &self.rate {
+                (self.limit_scale, self.sum_scale) = rate.scales(current.abs());
+            }
+            self.drag.at(current);
         }
     }
 
@@ -290,7 +327,7 @@ impl AxisSim {
             charge_at_zero_c: self.transformer * free_m,
             capacitance_f: self.transformer * per_volt + self.capacitance,
             input_v: self.input_v,
-            drag_v_per_c: self.drag_v_per_c,
+            drag_v_per_c: self.drag.v_per_c,
             skew_per_c: self.skew_per_c,
             limit_scale: self.limit_scale,
             sum_scale: self.sum_scale,

@@ -1,0 +1,77 @@
+//! Where a resonance lies, before a fit: a lightly damped one is narrower than the step that a fit takes towards it.
+//!
+//! A mode with a quality of a hundred spans one per cent of its frequency. From three per cent beside it, a fit sees a hill that it can
+//! only lower by damping the model's own mode away. So frequencies around the one that the screen liked are tried first.
+
+use host_sim::effects::Place;
+
+use crate::Error;
+use crate::fit::rig_with;
+use crate::knobs::{EffectRef, axes_seen};
+use crate::model::{Term, knobs_of};
+use crate::scene::{Stack, Wanted, dot};
+use crate::select::Search;
+
+/// Frequencies that are tried around a start, as steps beside it and their size: first the coarse ones, then between them.
+const SCANS: [(i32, f64); 2] = [(7, 0.01), (3, 0.0025)];
+
+impl Search<'_> {
+    /// Start values of `effect` at `places`, one set a place, moved to the frequencies that suit the session best beside the
+    /// `known` terms. Effects without a resonance stay as they are.
+    pub(crate) fn tuned(
+        &self,
+        known: &[(Term, Vec<f64>)],
+        effect: EffectRef,
+        places: &[Place],
+        mut starts: Vec<Vec<f64>>,
+    ) -> Result<Vec<Vec<f64>>, Error> {
+        let moved: fn(&[f64], f64, f64) -> Vec<f64> = match effect.info().name {
+            // The frequency goes with the root of the mass.
+            "inertia" => |values, ratio, mass_kg| {
+                let mut values = values.to_vec();
+                values[0] = (mass_kg + values[0]) / (ratio * ratio) - mass_kg;
+                values
+            },
+            "second-mass" => |values, ratio, _| {
+                let mut values = values.to_vec();
+                values[1] *= ratio;
+                values
+            },
+            _ => return Ok(starts),
+        };
+        let mass_kg = self.ranges.mass_kg;
+        for (reach, step) in SCANS {
+            let ratios: Vec<f64> = (-reach..=reach).map(|k| 1.0 + f64::from(k) * step).collect();
+            let mut rigs = Vec::with_capacity(ratios.len());
+            for &ratio in &ratios {
+                let mut terms: Vec<Term> = known.iter().map(|(term, _)| term.clone()).collect();
+                terms.push(Term { effect, places: places.to_vec() });
+                let mut values: Vec<f64> =
+                    known.iter().flat_map(|(_, v)| v.iter().copied()).collect();
+                values.extend(starts.iter().flat_map(|start| moved(start, ratio, mass_kg)));
+                rigs.push(rig_with(self.nominal, &knobs_of(&terms, &self.ranges), &values)?);
+            }
+            let axes = places.iter().fold(0, |m, &p| m | axes_seen(self.nominal, effect, p));
+            let jobs: Vec<_> =
+                rigs.iter().map(|rig| (rig, Wanted { axes, monitors: false })).collect();
+            let stacks = self.scene.residuals(&jobs, self.include)?;
+            for (start, &place) in starts.iter_mut().zip(places) {
+                let mask = axes_seen(self.nominal, effect, place);
+                let left = |stack: &Stack| -> f64 {
+                    let rows = stack.iter().zip(&self.scene.channels);
+                    rows.filter(|(_, c)| mask >> c.axis & 1 == 1)
+                        .filter_map(|(row, _)| row.as_ref())
+                        .map(|row| dot(row, row))
+                        .sum()
+                };
+                let finite =
+                    stacks.iter().map(left).zip(&ratios).filter(|(left, _)| left.is_finite());
+                let best = finite.min_by(|a, b| a.0.total_cmp(&b.0));
+                if let Some((_, &ratio)) = best {
+                    *start = moved(start, ratio, mass_kg);
+                }
+            }
+        }
+        Ok(starts)
+    }
+}

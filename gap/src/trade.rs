@@ -1,0 +1,74 @@
+//! One axis, another cause: an effect that suits one axis may have been stretched over a second one where something else is at work.
+//!
+//! Terms take the axes where they gain anything, and a gain of the wrong kind is a gain too. So every place of a term that leaves its
+//! axis open is taken out again, and what suits the residual of that axis alone is tried there instead.
+
+use host_sim::effects::Place;
+
+use crate::Error;
+use crate::fit::{Effort, cost};
+use crate::model::{Model, Term};
+use crate::scene::{Stack, Wanted};
+use crate::select::{MOST_EFFECTS, Search, noise_cost};
+
+/// Effects that are tried in each place.
+const OFFERS: usize = 2;
+/// Share of an axis' gap that may stay without looking further.
+const CLOSED: f64 = 0.01;
+
+impl Search<'_> {
+    /// `model` with places traded for other effects where that leaves clearly less.
+    pub(crate) fn trade(&mut self, model: Model) -> Result<Model, Error> {
+        let mut best = model;
+        for axis in 0..self.nominal.axes.len() {
+            let place = Place::Axis(axis);
+            let on_axis = |stack: &Stack| -> Stack {
+                let rows = stack.iter().zip(&self.scene.channels);
+                rows.map(|(row, c)| row.clone().filter(|_| c.axis == axis)).collect()
+            };
+            let base = on_axis(&self.base);
+            let noise = noise_cost(self.scene, &base);
+            let gap = cost(&base) - noise;
+            for t in 0..best.terms.len() {
+                let Some(term) = best.terms.get(t) else { continue };
+                let left = cost(&on_axis(&best.fit.stack)) - noise;
+                let needed = self.worth_of_change(left);
+                if term.places.len() < 2 || !term.places.contains(&place) || left < CLOSED * gap {
+                    continue;
+                }
+                let name = term.name();
+                let rig = best.without(self.nominal, t, |p| p == place)?;
+                let wanted = Wanted { axes: 1 << axis, monitors: true };
+                let stack = self.scene.residuals(&[(&rig, wanted)], self.include)?.remove(0);
+                let gains = self.screen.test(self.scene, &on_axis(&stack), None);
+                for (effect, gains) in self.shortlist(&gains, &[name], OFFERS) {
+                    let Some(gain) = gains.into_iter().find(|g| g.place == place) else { continue };
+                    let mut terms =
+                        best.part(|of, here| of.name() != name || here.places[0] != place);
+                    let start = self.tuned(&[], effect, &[place], vec![gain.start])?.concat();
+                    let full = terms.len() == MOST_EFFECTS;
+                    match terms.iter_mut().find(|(known, _)| known.name() == effect.info().name) {
+                        Some((known, _)) if known.places.contains(&place) => continue,
+                        Some((known, values)) => {
+                            known.places.push(place);
+                            values.extend(start);
+                        }
+                        None if full => continue,
+                        None => terms.push((Term { effect, places: vec![place] }, start)),
+                    }
+                    let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = terms.into_iter().unzip();
+                    let effort = Effort { hopeless: best.fit.cost, ..self.effort() };
+                    let other = self.fit_model(terms, start.concat(), effort)?;
+                    if other.fit.cost < best.fit.cost - needed {
+                        best = other.clone();
+                    }
+                    self.remember(other);
+                    if best.terms.get(t).is_none_or(|term| term.name() != name) {
+                        break;
+                    }
+                }
+            }
+        }
+        Ok(best)
+    }
+}
