@@ -24,6 +24,7 @@ use thiserror::Error;
 
 use crate::plant::{Options, Plant};
 use crate::rig::Rig;
+use crate::round::nearest;
 use crate::simulate::SimError;
 
 /// Why a closed loop could not be built or driven.
@@ -59,6 +60,7 @@ pub enum ClosedLoopError {
 struct Line {
     at_zero: f64,
     per_code: f64,
+    codes_per_unit: f64,
     full_code: f64,
 }
 
@@ -66,11 +68,13 @@ impl Line {
     fn new(at_zero: f32, at_full: f32, full_code: u32) -> Self {
         let at_zero = f64::from(at_zero);
         let full_code = f64::from(full_code);
-        Self { at_zero, per_code: (f64::from(at_full) - at_zero) / full_code, full_code }
+        let per_code = (f64::from(at_full) - at_zero) / full_code;
+        Self { at_zero, per_code, codes_per_unit: per_code.recip(), full_code }
     }
     /// Nearest code within the range; not-a-number reads 0, like an open input.
+    #[inline]
     fn code(&self, value: f64) -> i32 {
-        ((value - self.at_zero) / self.per_code).round().clamp(0.0, self.full_code) as i32
+        nearest((value - self.at_zero) * self.codes_per_unit).clamp(0.0, self.full_code) as i32
     }
 }
 

@@ -1,13 +1,10 @@
 //! The plant a tick at a time, with noise and rounding: what a controller, the emulator or the virtual board closes
 //! its loop around.
 
-use rand::rngs::Xoshiro256PlusPlus;
-use rand::{RngExt, SeedableRng};
-use rand_distr::StandardNormal;
-
+use crate::noise::Noise;
 use crate::rig::Rig;
+use crate::round::nearest;
 use crate::simulate::SimError;
-use crate::stages::axis::AxisSim;
 use crate::stages::group::Group;
 use crate::stages::model::Model;
 use crate::stages::sensor::SensorSim;
@@ -60,9 +57,11 @@ pub struct Plant {
     /// Group and slot of each axis.
     place: Vec<(usize, usize)>,
     converters: Vec<Converter>,
-    random: Xoshiro256PlusPlus,
-    noise: bool,
+    noise: Option<Noise>,
     samples: Vec<Sample>,
+    /// True displacements and amplifier outputs at this tick.
+    position_m: Vec<f64>,
+    output_v: Vec<f64>,
     readings_m: Vec<f64>,
     initial: Vec<Initial>,
     started: bool,
@@ -72,12 +71,37 @@ pub struct Plant {
     start_s: f64,
 }
 
+/// Noise and rounding of the two readings of an axis.
 #[derive(Clone, Copy)]
 struct Converter {
-    noise_m: f64,
-    resolution_m: f64,
-    noise_v: f64,
-    resolution_v: f64,
+    sensor: Reading,
+    monitor: Reading,
+}
+
+#[derive(Clone, Copy)]
+struct Reading {
+    noise_rms: f64,
+    resolution: f64,
+    /// Steps of the resolution a unit; 0 without rounding.
+    steps_per_unit: f64,
+}
+
+impl Reading {
+    fn new(noise_rms: f64, resolution: f64) -> Self {
+        let steps_per_unit = if resolution > 0.0 { resolution.recip() } else { 0.0 };
+        Self { noise_rms, resolution, steps_per_unit }
+    }
+
+    #[inline]
+    fn of(&self, value: f64, noise: &mut Noise) -> f64 {
+        let value =
+            if self.noise_rms > 0.0 { value + self.noise_rms * noise.draw() } else { value };
+        if self.steps_per_unit > 0.0 {
+            nearest(value * self.steps_per_unit) * self.resolution
+        } else {
+            value
+        }
+    }
 }
 
 impl Plant {
@@ -100,19 +124,20 @@ impl Plant {
             }
         }
         let converter = |axis: &crate::rig::Axis| Converter {
-            noise_m: axis.sensor.noise_rms_m,
-            resolution_m: axis.sensor.resolution_m,
-            noise_v: axis.monitor.as_ref().map_or(0.0, |m| m.noise_rms_v),
-            resolution_v: axis.monitor.as_ref().map_or(0.0, |m| m.resolution_v),
+            sensor: Reading::new(axis.sensor.noise_rms_m, axis.sensor.resolution_m),
+            monitor: axis.monitor.as_ref().map_or(Reading::new(0.0, 0.0), |monitor| {
+                Reading::new(monitor.noise_rms_v, monitor.resolution_v)
+            }),
         };
         Ok(Self {
             groups,
             sensors,
             place,
             converters: rig.axes.iter().map(converter).collect(),
-            random: Xoshiro256PlusPlus::seed_from_u64(options.seed),
-            noise: options.noise,
+            noise: options.noise.then(|| Noise::new(options.seed)),
             samples: vec![Sample::default(); n],
+            position_m: vec![0.0; n],
+            output_v: vec![0.0; n],
             readings_m: vec![0.0; n],
             initial: vec![Initial { amplifier_v: Some(0.0), ..Initial::default() }; n],
             started: false,
@@ -177,6 +202,7 @@ impl Plant {
         for group in &mut self.groups {
             group.advance(command, |_| None, time_s);
         }
+        self.look();
         self.sampled = false;
     }
 
@@ -186,10 +212,15 @@ impl Plant {
         &self.samples
     }
 
+    #[inline]
     fn start(&mut self) {
-        if self.started {
-            return;
+        if !self.started {
+            self.rest();
         }
+    }
+
+    #[cold]
+    fn rest(&mut self) {
         self.started = true;
         let time_s = self.time_s();
         let initial = &self.initial;
@@ -197,30 +228,36 @@ impl Plant {
             let asked = |axis: usize| initial[axis].amplifier_v.unwrap_or(0.0);
             group.start(asked, |axis| &initial[axis], |_| None, time_s);
         }
+        self.look();
+    }
+
+    /// Take over where every axis is.
+    #[inline]
+    fn look(&mut self) {
+        for group in &self.groups {
+            for (axis, &member) in group.axes().iter().zip(&group.members) {
+                self.position_m[member] = axis.position_m();
+                self.output_v[member] = axis.output_v();
+            }
+        }
     }
 
     fn read(&mut self) {
         let time_s = self.time_s();
-        let (groups, place) = (&self.groups, &self.place);
-        let axis = |axis: usize| -> &AxisSim {
-            let (group, slot) = place[axis];
-            &groups[group].axes()[slot]
+        let position_m = &self.position_m;
+        self.sensors.read(|axis| position_m[axis], time_s, |_| true, &mut self.readings_m);
+        let bare = self.position_m.iter().zip(&self.output_v).zip(&self.readings_m);
+        let bare =
+            bare.map(|((&true_m, &monitor_v), &sensed_m)| Sample { true_m, sensed_m, monitor_v });
+        let Some(noise) = &mut self.noise else {
+            self.samples.iter_mut().zip(bare).for_each(|(sample, bare)| *sample = bare);
+            return;
         };
-        self.sensors.read(|k| axis(k).position_m(), time_s, |_| true, &mut self.readings_m);
-        for (k, sample) in self.samples.iter_mut().enumerate() {
-            let converter = self.converters[k];
-            let mut noisy = |value: f64, rms: f64, resolution: f64| {
-                if !self.noise {
-                    return value;
-                }
-                let noise: f64 = if rms > 0.0 { self.random.sample(StandardNormal) } else { 0.0 };
-                let value = value + rms * noise;
-                if resolution > 0.0 { (value / resolution).round() * resolution } else { value }
-            };
+        for ((sample, bare), converter) in self.samples.iter_mut().zip(bare).zip(&self.converters) {
             *sample = Sample {
-                true_m: axis(k).position_m(),
-                sensed_m: noisy(self.readings_m[k], converter.noise_m, converter.resolution_m),
-                monitor_v: noisy(axis(k).output_v(), converter.noise_v, converter.resolution_v),
+                sensed_m: converter.sensor.of(bare.sensed_m, noise),
+                monitor_v: converter.monitor.of(bare.monitor_v, noise),
+                ..bare
             };
         }
     }

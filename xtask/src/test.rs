@@ -34,6 +34,7 @@ const STEPS: &[Step] = &[
     Step { name: "format", run: format },
     Step { name: "lints", run: lints },
     Step { name: "host tests", run: host_tests },
+    Step { name: "overflow checks", run: overflow_checks },
     Step { name: "documentation", run: documentation },
     Step { name: "firmware", run: firmware },
     Step { name: "emulation", run: emulation },
@@ -108,6 +109,13 @@ fn host_tests(shell: &Shell) -> Result<Outcome> {
         println!("{error:#}; tests that render a report say that they skip");
     }
     cmd!(shell, "cargo test --release --workspace --exclude emulator").run()?;
+    Ok(Outcome::Passed)
+}
+
+/// The core's tests once more, in a build that panics where an integer operation wraps unless it says that it may.
+fn overflow_checks(shell: &Shell) -> Result<Outcome> {
+    let checks = "profile.release.package.flexstage.overflow-checks=true";
+    cmd!(shell, "cargo test --release --package flexstage --config {checks}").run()?;
     Ok(Outcome::Passed)
 }
 

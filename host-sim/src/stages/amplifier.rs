@@ -105,6 +105,12 @@ impl AmplifierSim {
             self.state_v = clamp(v, self.min_v, self.max_v);
             return self.state_v;
         }
+        self.advance_in_parts(target_v, load, time_s)
+    }
+
+    /// With dead time, slew limit or something at the output.
+    #[inline(never)]
+    fn advance_in_parts(&mut self, target_v: f64, load: Load, time_s: f64) -> f64 {
         self.pipeline.push_back(target_v);
         let early_target = self.pipeline.pop_front().unwrap_or(target_v);
         let late_target = self.pipeline.front().copied().unwrap_or(target_v);

@@ -64,6 +64,7 @@ impl Group {
     }
 
     /// The axes, in the order of `members`.
+    #[inline]
     pub fn axes(&self) -> &[AxisSim] {
         &self.axes
     }
@@ -155,6 +156,18 @@ impl Group {
         output: impl Fn(usize) -> Option<f64> + Copy,
         time_s: f64,
     ) {
+        if self.is_alone() && self.substeps == 1 {
+            let member = self.members[0];
+            self.axes[0].follow(
+                1,
+                |amplifier, _, load| match output(member) {
+                    Some(end_v) => end_v,
+                    None => amplifier.advance(amplifier.target_v(member, command), load, time_s),
+                },
+                |_, _, _| {},
+            );
+            return;
+        }
         if self.is_alone() {
             let command = |_: usize, axis: usize| command(axis);
             self.follow(1, command, |_, axis| output(axis), |_| time_s, |_, _, _| {});

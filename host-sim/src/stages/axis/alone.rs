@@ -109,7 +109,6 @@ impl AxisSim {
         reached: impl FnMut(usize, f64, f64),
     ) {
         let two = self.mechanism.states() == 2;
-        let free_elastance = self.free_elastance();
         let parts = Parts {
             amplifier: &mut self.amplifier,
             mechanism: &mut self.mechanism,
@@ -121,7 +120,7 @@ impl AxisSim {
             drag: self.drag,
             skew_per_c: self.skew_per_c,
             step_s: self.step_s,
-            free_elastance,
+            free_elastance: self.free_elastance,
             output_v: &mut self.output_v,
             transducer_v: &mut self.transducer_v,
             force_n: &mut self.force_n,
@@ -174,8 +173,9 @@ impl Parts<'_> {
                 branch.drag_v_per_c = drag.v_per_c;
             }
             let tangent = elements.tangent_towards(input_v >= before_v);
+            // Through 32 bits: the processor has an instruction for that, and none for an unsigned number of 64.
             let level =
-                ((tangent * self.levels_per_slope + 0.5) as usize).min(self.ticks.len() - 1);
+                ((tangent * self.levels_per_slope + 0.5) as i32 as usize).min(self.ticks.len() - 1);
             let constants = &self.ticks[level];
             let mut free = if TWO_STATES {
                 let [force, position, velocity] = constants.free;

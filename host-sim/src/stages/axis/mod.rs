@@ -34,6 +34,7 @@ pub struct AxisSim {
     skew_per_c: f64,
     step_s: f64,
     levels_per_slope: f64,
+    free_elastance: f64,
     ticks: Vec<alone::Tick>,
     // State at the start of the tick.
     output_v: f64,
@@ -119,8 +120,10 @@ impl AxisSim {
             piezo.capacitance_f,
             1.0 + creep.per_volt(),
         );
+        let square = piezo.transformer_n_per_v * piezo.transformer_n_per_v;
         Self {
             ticks,
+            free_elastance: 1.0 / (piezo.capacitance_f + square * mechanism.compliance_m_per_n()),
             level: 0,
             levels_per_slope: if all_slopes > 0.0 { top / all_slopes } else { 0.0 },
             elements: Elements::new(&piezo.slopes_v_per_c, &piezo.limits_v, piezo.rate.is_some()),
@@ -196,6 +199,7 @@ impl AxisSim {
     }
 
     /// Output of the amplifier at this tick, V.
+    #[inline]
     pub fn output_v(&self) -> f64 {
         self.output_v
     }
@@ -355,14 +359,9 @@ impl AxisSim {
     /// What the stack shows the amplifier.
     fn load(&self) -> Load {
         Load {
-            free_elastance: self.free_elastance(),
+            free_elastance: self.free_elastance,
             tangent_v_per_c: self.elements.tangent_v_per_c(),
         }
-    }
-
-    fn free_elastance(&self) -> f64 {
-        let square = self.transformer * self.transformer;
-        1.0 / (self.capacitance + square * self.mechanism.compliance_m_per_n())
     }
 
     fn forces_at(&self, x: f64) -> (f64, f64) {
