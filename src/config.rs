@@ -171,9 +171,7 @@ impl Config {
                 "V (the axis' drive limits)",
             )?;
         }
-        let mut digest = Digest(0x811c_9dc5);
-        core::hash::Hash::hash(&config, &mut digest);
-        config.digest = digest.0;
+        config.digest = digest_of(&config);
         Ok(config)
     }
 
@@ -201,6 +199,12 @@ impl Config {
                 + f64::from(code) * (1u32 << 20) as f64 / f64::from(axis.dac.scale.max(1))
         })
     }
+}
+
+fn digest_of(value: &impl core::hash::Hash) -> u32 {
+    let mut digest = Digest(0x811c_9dc5);
+    value.hash(&mut digest);
+    digest.0
 }
 
 fn build_axis(
@@ -344,7 +348,7 @@ fn build_feedforward(
     // Held for a tick T_s, the amplifier keeps the share p of its distance: p / (1 - p) is about tau / T_s - 1/2.
     let p = if tau > 0.0 && forward.amplifier_lead { exp_minus(TICK_S / tau) } else { 0.0 };
     let um_gain = |field, value: f32| gain::<Um, Volt>(&check, field, scale * value);
-    Ok(Feedforward {
+    let mut built = Feedforward {
         origin: Um::from_f32(origin),
         stiffness: um_gain("stiffness_n_per_m", stiff)?,
         // 1 um in 0.2 ms is 5 um/ms; 1 um/(0.4 ms)^2 is 6.25 um/ms^2.
@@ -360,7 +364,10 @@ fn build_feedforward(
         lead: gain(&of_axis, "amplifier_time_constant_s", p / (1.0 - p))?,
         maxwell,
         creep,
-    })
+        model: 0,
+    };
+    built.model = digest_of(&built) | 1;
+    Ok(built)
 }
 
 fn build_feedback(axis: usize, settings: &FeedbackSettings) -> Result<Feedback, SettingsError> {

@@ -39,6 +39,8 @@ pub struct Feedforward {
     /// In the order of the charges at which they slip.
     pub(crate) maxwell: Vec<Maxwell, MAX_MAXWELL>,
     pub(crate) creep: Vec<Creep, MAX_CREEP>,
+    /// Digest of all of these, never 0: the slip elements only have to be taken over where it changes.
+    pub(crate) model: u32,
 }
 
 /// Memory of one axis.
@@ -48,6 +50,8 @@ pub struct FeedforwardState {
     pub(crate) creep: CreepState,
     stack: Volt,
     change: Volt,
+    /// [`Feedforward::model`] that the slip elements stand for; 0: none.
+    model: u32,
 }
 
 impl FeedforwardState {
@@ -57,6 +61,7 @@ impl FeedforwardState {
         creep: CreepState::REST,
         stack: Volt::ZERO,
         change: Volt::ZERO,
+        model: 0,
     };
 
     /// As [`FeedforwardState::REST`], in place.
@@ -66,12 +71,13 @@ impl FeedforwardState {
         self.creep.reset();
         self.stack = Volt::ZERO;
         self.change = Volt::ZERO;
+        self.model = 0;
     }
 }
 
 impl Feedforward {
     /// Drive for a motion two ticks ahead. `others`: displacements of the next two axes in cyclic order. `rebase`: coefficients
-    /// have changed, take present values as the start.
+    /// have changed, take present values as the start; slip elements only where they or their charge are other ones.
     #[inline(always)]
     pub(crate) fn step(
         &self,
@@ -99,7 +105,8 @@ impl Feedforward {
         if !self.maxwell.is_empty() {
             let charge =
                 (self.charge_per_um * elastic + self.charge_per_volt * transducer).narrow();
-            if rebase {
+            if rebase && state.model != self.model {
+                state.model = self.model;
                 state.hysteresis.rebase(&self.maxwell, charge);
             }
             stack += state.hysteresis.step(&self.maxwell, charge);

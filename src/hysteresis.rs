@@ -35,6 +35,8 @@ pub struct HysteresisState {
     /// The line: voltage = slope * charge + offset.
     slope: Gain<MicroCoulomb, Volt>,
     offset: Wide<Volt>,
+    /// The slope while all elements stick.
+    stiffest: Gain<MicroCoulomb, Volt>,
     /// Elastic charge e of an element that slips, origin b of one that sticks.
     places: [MicroCoulomb; MAX_MAXWELL],
     /// Elements that `places` knows; others are relaxed.
@@ -56,6 +58,7 @@ impl HysteresisState {
         slipping: 0,
         slope: Gain::ZERO,
         offset: Wide::ZERO,
+        stiffest: Gain::ZERO,
         places: [MicroCoulomb::ZERO; MAX_MAXWELL],
         known: 0,
     };
@@ -71,11 +74,44 @@ impl HysteresisState {
     #[inline(never)]
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
     pub fn rebase(&mut self, elements: &[Maxwell], charge: MicroCoulomb) {
+        (self.slope, self.offset) = if self.known == 0 {
+            self.relax(elements, charge)
+        } else {
+            self.take_over(elements, charge)
+        };
+        self.stiffest = self.slope;
+        self.last = mirror(charge, self.falling);
+        self.slipping = 0;
+        self.known = elements.len();
+        self.slip(elements);
+    }
+
+    /// All elements stick at `charge`, relaxed. The line. On the tick that closes the loop all axes come here.
+    #[inline(always)]
+    fn relax(
+        &mut self,
+        elements: &[Maxwell],
+        charge: MicroCoulomb,
+    ) -> (Gain<MicroCoulomb, Volt>, Wide<Volt>) {
+        let mut slope = Gain::ZERO;
+        for (place, element) in self.places.iter_mut().zip(elements) {
+            *place = charge;
+            slope = slope + element.elastance;
+        }
+        (slope, Wide::ZERO - slope * charge)
+    }
+
+    /// All elements stick at `charge`, as far from it as they stood before. The line.
+    #[inline(always)]
+    fn take_over(
+        &mut self,
+        elements: &[Maxwell],
+        charge: MicroCoulomb,
+    ) -> (Gain<MicroCoulomb, Volt>, Wide<Volt>) {
         let before = self.charge();
         let (mut slope, mut offset) = (Gain::ZERO, Wide::ZERO);
         let (mut elastic, mut slip) = (MicroCoulomb::ZERO, MicroCoulomb::ZERO);
-        let mut i = 0;
-        while let (Some(place), Some(element)) = (self.places.get_mut(i), elements.get(i)) {
+        for (i, (place, element)) in self.places.iter_mut().zip(elements).enumerate() {
             let stood = if i >= self.known {
                 MicroCoulomb::ZERO
             } else if i < self.slipping {
@@ -90,13 +126,8 @@ impl HysteresisState {
             *place = charge - elastic;
             slope = slope + element.elastance;
             offset = offset - element.elastance * *place;
-            i += 1;
         }
-        (self.slope, self.offset) = (slope, offset);
-        self.last = mirror(charge, self.falling);
-        self.slipping = 0;
-        self.known = elements.len();
-        self.slip(elements);
+        (slope, offset)
     }
 
     /// Moves the charge and returns the hysteresis voltage.
@@ -123,31 +154,25 @@ impl HysteresisState {
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
     fn follow(&mut self, elements: &[Maxwell], charge: MicroCoulomb) {
         if mirror(charge, self.falling) < self.last {
-            self.turn(elements);
+            self.turn();
         }
         self.last = mirror(charge, self.falling);
         self.slip(elements);
     }
 
     /// The charge turns: all elements stick, where they are. [`HysteresisState::slip`] comes next.
+    ///
+    /// An element that slips adds its elastance times its elastic charge to the offset; once it sticks it takes off its elastance
+    /// times its origin, which is the charge less that. Together: the elastances that the slope gets back, times the charge.
     #[inline(always)]
-    fn turn(&mut self, elements: &[Maxwell]) {
+    fn turn(&mut self) {
         let charge = self.charge();
         self.falling = !self.falling;
-        // Two sums: of one, the compiler would make a product of 64 by 32 bits, which is dear.
-        let (mut slope, mut offset, mut stuck) = (self.slope, self.offset, Wide::ZERO);
-        let mut i = 0;
-        while let (true, Some(place), Some(element)) =
-            (i < self.slipping, self.places.get_mut(i), elements.get(i))
-        {
-            let elastic = *place;
-            *place = charge - elastic;
-            slope = slope + element.elastance;
-            offset = offset - element.elastance * elastic;
-            stuck = stuck + element.elastance * *place;
-            i += 1;
+        for place in self.places.iter_mut().take(self.slipping) {
+            *place = charge - *place;
         }
-        (self.slope, self.offset) = (slope, offset - stuck);
+        self.offset = self.offset - (self.stiffest - self.slope) * charge;
+        self.slope = self.stiffest;
         self.slipping = 0;
     }
 
@@ -155,23 +180,22 @@ impl HysteresisState {
     #[inline(always)]
     fn slip(&mut self, elements: &[Maxwell]) {
         let (mut slope, mut offset, mut i) = (self.slope, self.offset, self.slipping);
-        let mut slipped = Wide::ZERO; // as in `turn`
         let mut end = i32::MAX;
         while let (Some(place), Some(element)) = (self.places.get_mut(i), elements.get(i)) {
-            let origin = *place;
             let reach = if self.falling { -element.slip } else { element.slip };
-            end = mirror(origin + reach, self.falling);
+            let at = *place + reach;
+            end = mirror(at, self.falling);
             if self.last <= end {
                 break;
             }
             *place = reach;
             slope = slope - element.elastance;
-            offset = offset + element.elastance * origin;
-            slipped = slipped + element.elastance * reach;
+            // Its origin no longer counts, its elastic charge does: together the charge at which it slips.
+            offset = offset + element.elastance * at;
             end = i32::MAX;
             i += 1;
         }
-        (self.slope, self.offset, self.slipping, self.end) = (slope, offset + slipped, i, end);
+        (self.slope, self.offset, self.slipping, self.end) = (slope, offset, i, end);
     }
 }
 

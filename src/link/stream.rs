@@ -200,13 +200,16 @@ impl<'a> StreamWriter<'a> {
             self.first_tick = sample.tick;
         }
         self.count += 1;
-        self.write(sample);
+        self.write(sample, size);
         true
     }
 
-    fn write(&mut self, sample: &Sample) {
-        let (fields, profile) = (self.fields, self.profile);
-        let has = |field| fields.contains(field);
+    /// Into a place of [`sample_bytes`], which [`StreamWriter::push`] has found room for.
+    fn write(&mut self, sample: &Sample, size: usize) {
+        let Some(place) = self.buffer.get_mut(self.at..self.at + size) else { return };
+        self.at += size;
+        let mut rest = place;
+        let has = |field| self.fields.contains(field);
         for (field, values, is_voltage) in [
             (Fields::REFERENCE, &sample.reference, false),
             (Fields::POSITION, &sample.position, false),
@@ -214,38 +217,29 @@ impl<'a> StreamWriter<'a> {
             (Fields::MONITOR, &sample.monitor, true),
         ] {
             if has(field) {
-                for value in values {
-                    match (profile, is_voltage) {
-                        (Profile::Exact, _) => self.put(&value.to_le_bytes()),
-                        (Profile::Packed, false) => self.put_u16(pack_displacement(*value)),
-                        (Profile::Packed, true) => self.put_u16(pack_voltage(*value)),
+                rest = match (self.profile, is_voltage) {
+                    (Profile::Exact, _) => put(rest, values.map(i32::to_le_bytes)),
+                    (Profile::Packed, false) => {
+                        put(rest, values.map(|v| pack_displacement(v).to_le_bytes()))
                     }
-                }
+                    (Profile::Packed, true) => {
+                        put(rest, values.map(|v| pack_voltage(v).to_le_bytes()))
+                    }
+                };
             }
         }
         if has(Fields::FLAGS) {
-            self.put(&sample.flags.to_le_bytes());
+            rest = put(rest, [sample.flags.to_le_bytes()]);
         }
         if has(Fields::CYCLES) {
-            self.put_u16(sample.cycles);
+            rest = put(rest, [sample.cycles.to_le_bytes()]);
         }
         if has(Fields::GAUGE_CODE) {
-            sample.gauge_code.iter().for_each(|code| self.put_u16(*code));
+            rest = put(rest, sample.gauge_code.map(u16::to_le_bytes));
         }
         if has(Fields::DAC_CODE) {
-            sample.dac_code.iter().for_each(|code| self.put_u16(*code));
+            put(rest, sample.dac_code.map(u16::to_le_bytes));
         }
-    }
-
-    fn put_u16(&mut self, value: u16) {
-        self.put(&value.to_le_bytes());
-    }
-
-    fn put(&mut self, bytes: &[u8]) {
-        if let Some(place) = self.buffer.get_mut(self.at..self.at + bytes.len()) {
-            place.copy_from_slice(bytes);
-        }
-        self.at += bytes.len();
     }
 
     /// Writes the headers and the CRC; returns the length of the frame.
@@ -261,6 +255,17 @@ impl<'a> StreamWriter<'a> {
         header[13] = self.profile as u8;
         header[14..].copy_from_slice(&self.fields.0.to_le_bytes());
         frame::seal(self.buffer, Kind::Stream, sequence, self.at - HEADER)
+    }
+}
+
+/// Writes values to the front of a place; what is left of it.
+fn put<const N: usize, const M: usize>(place: &mut [u8], values: [[u8; N]; M]) -> &mut [u8] {
+    match place.split_at_mut_checked(N * M) {
+        Some((front, rest)) => {
+            front.copy_from_slice(values.as_flattened());
+            rest
+        }
+        None => &mut [],
     }
 }
 

@@ -79,6 +79,7 @@ pub fn toolchain() -> Result<()> {
 }
 
 /// A way to build for the board here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Toolchain {
     /// rustup with the target installed.
     RustupTarget,
@@ -134,15 +135,8 @@ pub fn build(target_dir: Option<&Path>) -> Result<PathBuf> {
 
 fn pick(shell: &Shell) -> Result<Toolchain> {
     let sysroot = cmd!(shell, "rustc --print sysroot").quiet().ignore_stderr().read();
-    if let Ok(sysroot) = sysroot {
-        let lib = Path::new(&sysroot).join("lib/rustlib");
-        if lib.join(TARGET).join("lib").is_dir() {
-            return Ok(Toolchain::RustupTarget);
-        }
-        let has_linker = lib.join("x86_64-unknown-linux-gnu/bin/rust-lld").is_file();
-        if lib.join("src/rust/library/core").is_dir() && has_linker {
-            return Ok(Toolchain::RustupSource);
-        }
+    if let Some(found) = sysroot.ok().and_then(|sysroot| from_sysroot(Path::new(&sysroot))) {
+        return Ok(found);
     }
     let needs = [
         Need { program: "/usr/bin/rustc", packages: &["rustc-web"] },
@@ -163,4 +157,40 @@ fn pick(shell: &Shell) -> Result<Toolchain> {
         );
     }
     Ok(Toolchain::Debian)
+}
+
+/// What rustup has put into its toolchain that builds for the board.
+fn from_sysroot(sysroot: &Path) -> Option<Toolchain> {
+    let lib = sysroot.join("lib/rustlib");
+    if lib.join(TARGET).join("lib").is_dir() {
+        return Some(Toolchain::RustupTarget);
+    }
+    let has_linker = lib.join("x86_64-unknown-linux-gnu/bin/rust-lld").is_file();
+    let has_source = lib.join("src/rust/library/core").is_dir();
+    (has_source && has_linker).then_some(Toolchain::RustupSource)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// rustup's folders after `rustup target add` and `rustup component add rust-src`, as they are on a machine with a network.
+    #[test]
+    fn the_installed_target_comes_before_the_source() {
+        let sysroot =
+            std::env::temp_dir().join(format!("flexstage-sysroot-{}", std::process::id()));
+        let rustlib = sysroot.join("lib/rustlib");
+        let host = rustlib.join("x86_64-unknown-linux-gnu/bin");
+        std::fs::create_dir_all(&host).unwrap();
+        assert_eq!(from_sysroot(&sysroot), None, "a host toolchain only");
+        std::fs::create_dir_all(rustlib.join("src/rust/library/core")).unwrap();
+        assert_eq!(from_sysroot(&sysroot), None, "source without a linker");
+        std::fs::write(host.join("rust-lld"), "").unwrap();
+        assert_eq!(from_sysroot(&sysroot), Some(Toolchain::RustupSource));
+        std::fs::create_dir_all(rustlib.join(TARGET)).unwrap();
+        assert_eq!(from_sysroot(&sysroot), Some(Toolchain::RustupSource), "a target half removed");
+        std::fs::create_dir_all(rustlib.join(TARGET).join("lib")).unwrap();
+        assert_eq!(from_sysroot(&sysroot), Some(Toolchain::RustupTarget));
+        std::fs::remove_dir_all(&sysroot).unwrap();
+    }
 }

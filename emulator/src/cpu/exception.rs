@@ -5,6 +5,7 @@
 //! process stack (the firmware has one stack), tail-chaining, the exclusive monitor's clear on entry (STREX compares
 //! the value it loaded, which is at least as strict for a single core).
 
+use unicorn_engine::unicorn_const::uc_error;
 use unicorn_engine::{RegisterARM as R, Unicorn};
 
 use super::Core;
@@ -34,6 +35,24 @@ pub fn set(uc: &mut Unicorn<'_, Core>, register: R, value: u32) {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BadStack(pub u32);
 
+/// Writes a frame. Past unicorn where it lies in RAM, which is most of the cost of its own way.
+fn push(uc: &mut Unicorn<'_, Core>, at: u32, bytes: &[u8]) -> Result<(), uc_error> {
+    match uc.get_data().ram(at, bytes.len()) {
+        Some((memory, offset)) => memory.write(offset, bytes),
+        None => uc.mem_write(at as u64, bytes)?,
+    }
+    Ok(())
+}
+
+/// Reads a frame.
+fn pop(uc: &Unicorn<'_, Core>, at: u32, bytes: &mut [u8]) -> Result<(), uc_error> {
+    match uc.get_data().ram(at, bytes.len()) {
+        Some((memory, offset)) => memory.read(offset, bytes),
+        None => uc.mem_read(at as u64, bytes)?,
+    }
+    Ok(())
+}
+
 /// Enters the handler of `exception`.
 pub fn enter(uc: &mut Unicorn<'_, Core>, exception: u32) -> Result<(), BadStack> {
     let xpsr = get(uc, R::XPSR);
@@ -58,7 +77,7 @@ pub fn enter(uc: &mut Unicorn<'_, Core>, exception: u32) -> Result<(), BadStack>
         }
         put(24, get(uc, R::FPSCR));
     }
-    uc.mem_write(frame as u64, &bytes[..size as usize]).map_err(|_| BadStack(sp))?;
+    push(uc, frame, &bytes[..size as usize]).map_err(|_| BadStack(sp))?;
     set(uc, R::SP, frame);
     let lr = match (in_handler, control & 2 != 0) {
         (true, _) => 0xffff_fff1,
@@ -95,7 +114,7 @@ pub fn leave(uc: &mut Unicorn<'_, Core>) -> Result<(), BadStack> {
     let fp = exc_return & 0x10 == 0;
     let size = if fp { 0x68 } else { 0x20 };
     let mut bytes = [0u8; 0x68];
-    uc.mem_read(sp as u64, &mut bytes[..size]).map_err(|_| BadStack(sp))?;
+    pop(uc, sp, &mut bytes[..size]).map_err(|_| BadStack(sp))?;
     let word = |i: usize| {
         u32::from_le_bytes([bytes[4 * i], bytes[4 * i + 1], bytes[4 * i + 2], bytes[4 * i + 3]])
     };

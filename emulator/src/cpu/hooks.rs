@@ -5,79 +5,21 @@ use unicorn_engine::unicorn_const::{HookType, MemType};
 use unicorn_engine::{RegisterARM as R, Unicorn};
 
 use super::exception::get;
-use super::image::{FLASH, Image, is_wide};
-use super::memory::Memory;
+use super::image::{FLASH, Image};
 use super::{CCM, CCM_BYTES, Core, Machine, SRAM, SYSTEM_MEMORY, Stop, uc};
-
-/// Instructions in a block, decoded once for each block.
-pub(super) struct Lengths {
-    regions: [(u32, Memory, Vec<u32>); 3],
-}
-
-impl Lengths {
-    pub(super) fn new(flash: &Memory, ccm: &Memory, sram: &Memory) -> Lengths {
-        let region = |base: u32, m: &Memory| (base, m.clone(), vec![0; m.len() / 2]);
-        Lengths { regions: [region(FLASH, flash), region(CCM, ccm), region(SRAM, sram)] }
-    }
-
-    pub(super) fn forget_ram(&mut self) {
-        for r in &mut self.regions[1..] {
-            r.2.fill(0);
-        }
-    }
-
-    #[inline]
-    fn count(&mut self, address: u32, size: u32) -> u64 {
-        for (base, memory, cache) in &mut self.regions {
-            let offset = address.wrapping_sub(*base) as usize;
-            if offset < memory.len() {
-                let known = cache[offset / 2];
-                if known >> 16 == size {
-                    return (known & 0xffff) as u64;
-                }
-                let (mut at, mut n) = (offset, 0);
-                while at < offset + size as usize {
-                    at += if is_wide(memory.u16(at)) { 4 } else { 2 };
-                    n += 1;
-                }
-                cache[offset / 2] = size << 16 | n;
-                return n as u64;
-            }
-        }
-        (size / 2) as u64
-    }
-}
 
 impl Machine {
     pub(super) fn add_hooks(u: &mut Unicorn<'static, Core>, image: &Image) -> Result<()> {
-        let block = |u: &mut Unicorn<'_, Core>, address: u64, size: u32| {
-            let core = u.get_data_mut();
-            let soc = &mut core.soc;
-            if soc.now >= soc.deadline {
-                soc.sync();
-            }
-            if soc.attention {
-                let out =
-                    soc.wants_out() || soc.nvic.next_exception(crate::periph::nvic::IDLE).is_some();
-                if out && (core.soc.wants_out() || due(u).is_some()) {
-                    u.get_data_mut().stop = Stop::Attention;
-                    let _ = u.emu_stop();
-                    return;
-                }
-            }
-            let core = u.get_data_mut();
+        let (meter, lengths) = (u.get_data().meter.clone(), u.get_data().lengths.clone());
+        let block = move |u: &mut Unicorn<'_, Core>, address: u64, size: u32| {
             let address = address as u32;
-            if address >> 16 == SYSTEM_MEMORY >> 16 {
-                core.stop = Stop::Bootloader;
-                let _ = u.emu_stop();
+            // Nearly always nothing is due: half of a run's time would go by here.
+            if let Some(n) = lengths.known(address, size)
+                && meter.pass(n)
+            {
                 return;
             }
-            let n = core.lengths.count(address, size);
-            core.soc.instructions += n;
-            core.soc.now += n * core.soc.insn_unit;
-            if core.profile.watching() {
-                *core.profile.blocks.entry((address, size)).or_insert(0) += 1;
-            }
+            Self::look(u, address, size);
         };
         uc("block hook", u.add_block_hook(FLASH as u64, 0x2002_0000, block))?;
         let interrupt = |u: &mut Unicorn<'_, Core>, n: u32| {
@@ -119,6 +61,38 @@ impl Machine {
             uc("event hook", u.add_code_hook(at as u64, at as u64, send))?;
         }
         Ok(())
+    }
+
+    /// Before a block at which something may be due: leaves translated code, or charges the block.
+    fn look(u: &mut Unicorn<'_, Core>, address: u32, size: u32) {
+        let core = u.get_data_mut();
+        core.settle();
+        let soc = &mut core.soc;
+        if soc.now >= soc.deadline {
+            soc.sync();
+        }
+        if soc.attention {
+            let out =
+                soc.wants_out() || soc.nvic.next_exception(crate::periph::nvic::IDLE).is_some();
+            if out && (core.soc.wants_out() || due(u).is_some()) {
+                u.get_data_mut().stop = Stop::Attention;
+                let _ = u.emu_stop();
+                return;
+            }
+        }
+        let core = u.get_data_mut();
+        if address >> 16 == SYSTEM_MEMORY >> 16 {
+            core.stop = Stop::Bootloader;
+            let _ = u.emu_stop();
+            return;
+        }
+        let n = core.lengths.count(address, size);
+        core.soc.instructions += n;
+        core.soc.now += n * core.soc.insn_unit;
+        if core.profile.watching() {
+            *core.profile.blocks.entry((address, size)).or_insert(0) += 1;
+        }
+        core.grant();
     }
 }
 

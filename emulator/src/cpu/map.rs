@@ -36,18 +36,19 @@ impl Machine {
         ];
         for (base, size) in regions {
             let read = move |u: &mut Unicorn<'_, Core>, offset: u64, size: usize| {
-                u.get_data_mut().soc.read(base + offset as u32, size) as u64
+                u.get_data_mut().with_soc(|soc| soc.read(base + offset as u32, size)) as u64
             };
             let write = move |u: &mut Unicorn<'_, Core>, offset: u64, size: usize, value: u64| {
-                u.get_data_mut().soc.write(base + offset as u32, size, value as u32);
+                u.get_data_mut()
+                    .with_soc(|soc| soc.write(base + offset as u32, size, value as u32));
             };
             uc("map registers", u.mmio_map(base as u64, size as u64, Some(read), Some(write)))?;
         }
         let read = |u: &mut Unicorn<'_, Core>, offset: u64, size: usize| {
-            u.get_data_mut().soc.flash_load(offset as u32, size) as u64
+            u.get_data_mut().with_soc(|soc| soc.flash_load(offset as u32, size)) as u64
         };
         let write = |u: &mut Unicorn<'_, Core>, offset: u64, size: usize, value: u64| {
-            u.get_data_mut().soc.flash_store(offset as u32, size, value as u32);
+            u.get_data_mut().with_soc(|soc| soc.flash_store(offset as u32, size, value as u32));
         };
         uc(
             "map bank 2",

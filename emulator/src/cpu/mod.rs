@@ -10,8 +10,11 @@ pub mod exception;
 mod hooks;
 pub mod image;
 mod inject;
+mod lengths;
 mod map;
 pub mod memory;
+mod meter;
+mod pages;
 pub mod profile;
 
 use std::rc::Rc;
@@ -25,9 +28,11 @@ use crate::periph::{Analog, ResetCause, Soc};
 use crate::rtt::Rtt;
 use crate::time::{MILLISECOND, NEVER, Time};
 use exception::{get, set};
-use hooks::{Lengths, due};
+use hooks::due;
 use image::{FLASH, Image};
+use lengths::Lengths;
 use memory::Memory;
+use meter::Meter;
 use profile::Profile;
 
 const CORTEX_M4: i32 = 9;
@@ -76,7 +81,10 @@ pub struct Core {
     /// Costs.
     pub profile: Profile,
     stop: Stop,
-    lengths: Lengths,
+    meter: Rc<Meter>,
+    lengths: Rc<Lengths>,
+    sram: Memory,
+    ccm: Memory,
     bad_address: Option<u32>,
 }
 
@@ -117,7 +125,10 @@ impl Machine {
             soc,
             profile: Profile::default(),
             stop: Stop::Attention,
-            lengths: Lengths::new(&flash, &ccm, &sram),
+            meter: Rc::new(Meter::default()),
+            lengths: Rc::new(Lengths::new(&flash, &ccm, &sram)),
+            sram: sram.clone(),
+            ccm: ccm.clone(),
             bad_address: None,
         };
         // Mode::MCLASS would make it a Cortex-M33, whatever the model.
@@ -140,9 +151,8 @@ impl Machine {
         map(SRAM + SRAM_BYTES as u32, &ccm, 0, CCM_BYTES, read_write)?;
         map(SRAM, &sram, 0, SRAM_BYTES, Prot::ALL)?;
         map(CCM, &ccm, 0, CCM_BYTES, Prot::ALL)?;
-        // No TLB hook, though it would make stores to RAM cheaper: when an access within an IT block misses that TLB, unicorn restores ITSTATE
-        // and never clears it, and later instructions are skipped or undefined.
         Self::map_registers(&mut u)?;
+        Self::add_pages(&mut u, &image)?;
         Self::add_hooks(&mut u, &image)?;
         let rtt = Rtt::new(&image)?;
         let mut m = Machine {
@@ -307,8 +317,10 @@ impl Machine {
             }
             let pc = get(&self.uc, R::PC);
             self.stops += 1;
+            self.uc.get_data_mut().grant();
             // `until` 0 is never reached and costs no invalidation.
             let ended = self.uc.emu_start(pc as u64 | 1, 0, 0, 0);
+            self.uc.get_data_mut().settle();
             if let Err(error) = ended {
                 self.fault(error)?;
                 continue;

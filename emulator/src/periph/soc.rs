@@ -279,7 +279,7 @@ impl Soc {
     fn find_deadline(&mut self) {
         let now = self.now;
         let mut d = self.nvic.next_event().min(self.flash.next_event()).min(self.iwdg.next_event());
-        for t in self.tim.iter().filter(|t| t.running()) {
+        for t in self.tim.iter_mut().filter(|t| t.running()) {
             d = d.min(t.next_event(now));
         }
         for a in &self.adc {

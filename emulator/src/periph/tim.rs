@@ -24,6 +24,10 @@ pub struct Timer {
     held: u32,
     /// The last update event that drove TRGO.
     trgo: Option<Time>,
+    /// No flag changes before this: looking at a timer costs divisions.
+    quiet_until: Time,
+    /// The next event that anybody listens to, once it has been worked out.
+    event: Option<Time>,
 }
 
 impl Timer {
@@ -42,6 +46,8 @@ impl Timer {
             seen: 0,
             held: 0,
             trgo: None,
+            quiet_until: 0,
+            event: None,
         }
     }
 
@@ -72,6 +78,13 @@ impl Timer {
         let held = self.count(now);
         self.unit = unit;
         self.rebase(now, held);
+        self.touched();
+    }
+
+    /// Registers or the clock changed: what was worked out no longer holds.
+    fn touched(&mut self) {
+        self.quiet_until = 0;
+        self.event = None;
     }
 
     fn rebase(&mut self, now: Time, count: u32) {
@@ -102,14 +115,16 @@ impl Timer {
 
     /// Brings flags up to `now`.
     pub fn update(&mut self, now: Time) {
-        if !self.running() {
+        if !self.running() || now < self.quiet_until {
             return;
         }
         let counts = self.counts(now);
+        let period = self.period();
+        self.quiet_until = self.at(self.next_count(counts, |_| true));
         if counts == self.seen {
             return;
         }
-        let period = self.period();
+        self.event = None;
         if counts / period > self.seen / period {
             self.sr |= 1;
             if self.drives_trgo() {
@@ -126,24 +141,37 @@ impl Timer {
         self.seen = counts;
     }
 
-    /// When something happens that anybody listens to.
-    pub fn next_event(&self, now: Time) -> Time {
-        if !self.running() {
-            return NEVER;
-        }
+    /// The first count after `counts` at which a flag is set: of the update event (0), of channel k (k).
+    fn next_count(&self, counts: u64, wanted: impl Fn(usize) -> bool) -> u64 {
         let period = self.period();
-        let counts = self.counts(now);
-        let mut next = NEVER;
-        if self.dier & 1 != 0 || self.drives_trgo() {
-            next = self.at((counts / period + 1) * period);
-        }
+        let start = counts / period * period;
+        let mut next = if wanted(0) { start + period } else { NEVER };
         for (i, &c) in self.ccr.iter().enumerate() {
-            if self.dier & (2 << i) != 0 && (c as u64) < period {
-                let k = counts / period * period + c as u64;
-                next = next.min(self.at(if k > counts { k } else { k + period }));
+            if wanted(i + 1) && (c as u64) < period {
+                let k = start + c as u64;
+                next = next.min(if k > counts { k } else { k + period });
             }
         }
         next
+    }
+
+    /// When something happens that anybody listens to.
+    pub fn next_event(&mut self, now: Time) -> Time {
+        if !self.running() {
+            return NEVER;
+        }
+        if let Some(at) = self.event
+            && now < at
+        {
+            return at;
+        }
+        let listens = |k: usize| self.dier >> k & 1 != 0 || k == 0 && self.drives_trgo();
+        let at = match self.next_count(self.counts(now), listens) {
+            NEVER => NEVER,
+            counts => self.at(counts),
+        };
+        self.event = Some(at);
+        at
     }
 
     /// Interrupt line.
@@ -171,6 +199,7 @@ impl Timer {
     /// Register write.
     pub fn write(&mut self, offset: u32, value: u32, now: Time) {
         self.update(now);
+        self.touched();
         match offset {
             0x00 => {
                 let count = self.count(now);

@@ -11,6 +11,7 @@ mod flash;
 mod hostile;
 mod identity;
 mod probe;
+mod resolution;
 mod socket;
 mod stream;
 mod usb;

@@ -61,7 +61,7 @@ fn a_minute_without_losing_a_tick() {
 }
 
 #[test]
-#[ignore = "takes fourteen minutes: run it with --ignored before a release"]
+#[ignore = "takes five minutes of one core: run it with --ignored before a release"]
 fn ten_minutes_without_losing_a_tick() {
     stream_for(600);
 }
