@@ -41,6 +41,8 @@ struct Moving {
     acceleration: f64,
     voltage_z: f64,
     charge_rate: f64,
+    drive_rate: f64,
+    driven_v: f64,
     creep_v: f64,
     creep_table: Vec<(f64, f64)>,
     branches: Vec<f64>,
@@ -99,6 +101,8 @@ pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Opt
             acceleration: 0.0,
             voltage_z: 0.0,
             charge_rate: 0.0,
+            drive_rate: 0.0,
+            driven_v: 0.0,
             creep_v: 0.0,
             creep_table: axis.creep.as_ref().map_or_else(Vec::new, |creep| creep.table(1.0 / rate)),
             branches: vec![0.0; axis.branches.len()],
@@ -342,8 +346,14 @@ fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside_n: f64, dt: f64) 
         bristles(state.friction_n, level, bristle, travel)
     };
 
+    // The speed that the loop grows with is that of the drive, as a current into the whole capacitance: with that of the charge, a
+    // faster fall from above would lift the loop and fall faster still, and the stack would chatter where it stands.
+    let current = (state.output_v - state.driven_v) / dt
+        * (constants.capacitance_f + transformer * transformer / stiffness);
+    state.driven_v = state.output_v;
+    state.drive_rate += (current - state.drive_rate) * (dt / 1e-4).min(1.0);
     let factor = match axis.rate {
-        Rate::PerDecade(growth) => 1.0 + growth * (1.0 + state.charge_rate.abs() / 1e-4).log10(),
+        Rate::PerDecade(growth) => 1.0 + growth * (1.0 + state.drive_rate.abs() / 1e-4).log10(),
         _ => 1.0,
     };
     // Voltage and slope of a loss that goes with a power of the rate, smooth through zero, at charge q.
@@ -376,13 +386,23 @@ fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside_n: f64, dt: f64) 
         let rest = force - rub + slope * (here + travel) - stiffness * xp - damping * vp;
         base = transformer * (xp + h * rest / inertia);
         taken = constants.capacitance_f + transformer * h * transformer / inertia;
-        // One scalar equation for the charge, monotone: Newton on the branch that the last step suggests.
-        for _ in 0..12 {
+        // One scalar equation for the charge: Newton on the branch that the last step suggests, inside what is known to lie on
+        // either side. A loss that goes with a root of the rate throws a bare tangent to and fro across its steep zero.
+        let (mut below, mut above) = (f64::NEG_INFINITY, f64::INFINITY);
+        for _ in 0..60 {
             let (voltage, slope) = axis.hysteresis.at(q);
             let (loss, steep) = extra(q, last);
             let residual = factor * voltage + loss + (q - base) / taken - wanted;
             let change = residual / (factor * slope + steep + 1.0 / taken);
-            q -= change;
+            if residual > 0.0 {
+                above = q;
+            } else {
+                below = q;
+            }
+            let next = q - change;
+            let closed_in = below.is_finite() && above.is_finite();
+            let inside = next > below.min(above) && next < above.max(below);
+            q = if closed_in && !inside { 0.5 * (below + above) } else { next };
             if change.abs() < 1e-13 {
                 break;
             }
