@@ -257,18 +257,17 @@ pub(crate) fn abstain(
     Ok((!found.model.terms.is_empty() && overall >= 0.0).then_some(found))
 }
 
-/// Keep only the places that act on trusted axes, of effects that reach at least one axis with a gap.
+/// Keep only the places that act on trusted axes and reach an axis with a gap: what takes a little noise off a quiet axis is no cause.
 fn restrict(rig: &Rig, found: &mut Found, trusted: &[bool], loud: &[bool]) -> Result<(), Error> {
-    let stands = |term: &Term| {
-        term.places.iter().any(|&p| {
-            let axes = term.at(p).axes();
-            axes.iter().all(|&a| trusted[a]) && axes.iter().any(|&a| loud[a])
-        })
+    let keep = |_: &Term, alone: &Term| {
+        let axes = alone.axes();
+        axes.iter().all(|&a| trusted[a]) && axes.iter().any(|&a| loud[a])
     };
-    if trusted.iter().all(|&t| t) && found.model.terms.iter().all(stands) {
+    let mut places =
+        found.model.terms.iter().flat_map(|t| t.places.iter().map(move |&p| (t, t.at(p))));
+    if places.all(|(term, alone)| keep(term, &alone)) {
         return Ok(());
     }
-    let keep = |term: &Term, alone: &Term| stands(term) && alone.axes().iter().all(|&a| trusted[a]);
     let kept: Vec<bool> = found
         .model
         .terms
