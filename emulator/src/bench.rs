@@ -65,10 +65,10 @@ impl Bench {
     pub fn run_for(&mut self, time: Time) -> Result<()> {
         let until = self.now() + time;
         while self.now() < until {
-            if let Some(event) = self.slice(until.min(self.now() + LOOK))? {
-                if matches!(event, Event::PowerLost | Event::Bootloader) {
-                    return Ok(());
-                }
+            if let Some(event) = self.slice(until.min(self.now() + LOOK))?
+                && matches!(event, Event::PowerLost | Event::Bootloader)
+            {
+                return Ok(());
             }
         }
         Ok(())
@@ -174,7 +174,7 @@ impl Bench {
         let bytes = self.link.identify();
         self.send(bytes)?;
         self.run_until(REPLY, "identity", |b| b.link.identity.is_some())?;
-        self.link.identity.clone().context("identity")
+        self.link.identity.context("identity")
     }
 
     /// Status word of the newest sample, or of a status reply.
@@ -219,7 +219,7 @@ impl Bench {
     pub fn start(&mut self, waves: &[(u8, GeneratorSettings)]) -> Result<u32> {
         let mut axes = 0;
         for (axis, generator) in waves {
-            self.command(&Command::Stage { axis: *axis, generator: generator.clone() })?;
+            self.command(&Command::Stage { axis: *axis, generator: *generator })?;
             axes |= 1 << axis;
         }
         self.act(&Command::Start { axes })

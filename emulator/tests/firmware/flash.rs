@@ -101,15 +101,14 @@ fn power_cut_at_every_program_and_erase_leaves_old_or_new() {
 
     let mut gain = gain_of(&mut b);
     let (mut old, mut new, mut ecc) = (0, 0, 0);
-    for n in 0..journal.len() {
+    for (n, (_, operation)) in journal.iter().enumerate() {
         for how in [Cut::Before, Cut::Torn, Cut::After] {
             let base = b.machine.soc().flash.journal.len();
             let next = if gain == 1.0 { 1.25 } else { 1.0 };
             let found = cut_at(&mut b, base + n, how, next);
             assert!(
                 found == gain || found == next,
-                "cut {how:?} at {n} ({:?}): gain {found}, expected {gain} or {next}",
-                journal[n].1
+                "cut {how:?} at {n} ({operation:?}): gain {found}, expected {gain} or {next}"
             );
             let identity = b.identify().unwrap();
             assert_eq!(identity.has_stored_config, 1, "cut {how:?} at {n}");

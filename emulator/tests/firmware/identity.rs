@@ -138,13 +138,12 @@ fn a_minute_of_mixed_motion_is_bit_identical() {
         if tick >= first {
             let s = sample.next().unwrap();
             assert_eq!(s.tick, tick);
-            for k in 0..AXES {
-                let axis = &record.axes[k];
+            // What acts from this tick on was computed by the one before.
+            for (k, (axis, held)) in record.axes.iter().zip(held).enumerate() {
                 let host = (
                     axis.reference.to_bits(),
                     axis.position.to_bits(),
-                    // What acts from this tick on was computed by the one before.
-                    held[k],
+                    held,
                     axis.monitor.to_bits(),
                 );
                 let board = (s.reference[k], s.position[k], s.drive[k], s.monitor[k]);
