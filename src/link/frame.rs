@@ -446,7 +446,10 @@ mod tests {
             }
             let mut deframer = Deframer::new();
             let found = collect(&mut deframer, &stream);
-            prop_assert!(found.iter().any(|(s, p)| *s == 100 && p == b"later"));
+            let later = |sequence: u16| found.iter().any(|(s, p)| *s == sequence && p == b"later");
+            // Where the next frame happens to begin with the bytes that were cut off, the broken one is whole and takes them.
+            let completed = found.iter().any(|(s, p)| *s == 1 && *p == payload);
+            prop_assert!(later(100) || (completed && later(101)));
         }
     }
 }
