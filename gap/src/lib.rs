@@ -29,7 +29,7 @@ pub mod platform;
 pub mod pyramid;
 mod resonance;
 pub mod scene;
-mod screen;
+pub mod screen;
 pub mod select;
 mod slow;
 pub mod split;
