@@ -386,23 +386,13 @@ fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside_n: f64, dt: f64) 
         let rest = force - rub + slope * (here + travel) - stiffness * xp - damping * vp;
         base = transformer * (xp + h * rest / inertia);
         taken = constants.capacitance_f + transformer * h * transformer / inertia;
-        // One scalar equation for the charge: Newton on the branch that the last step suggests, inside what is known to lie on
-        // either side. A loss that goes with a root of the rate throws a bare tangent to and fro across its steep zero.
-        let (mut below, mut above) = (f64::NEG_INFINITY, f64::INFINITY);
-        for _ in 0..60 {
+        // One scalar equation for the charge, monotone: Newton on the branch that the last step suggests.
+        for _ in 0..12 {
             let (voltage, slope) = axis.hysteresis.at(q);
             let (loss, steep) = extra(q, last);
             let residual = factor * voltage + loss + (q - base) / taken - wanted;
             let change = residual / (factor * slope + steep + 1.0 / taken);
-            if residual > 0.0 {
-                above = q;
-            } else {
-                below = q;
-            }
-            let next = q - change;
-            let closed_in = below.is_finite() && above.is_finite();
-            let inside = next > below.min(above) && next < above.max(below);
-            q = if closed_in && !inside { 0.5 * (below + above) } else { next };
+            q -= change;
             if change.abs() < 1e-13 {
                 break;
             }
