@@ -11,7 +11,7 @@
 //!
 //! Not the program's `identify` ([`gap::identify`]), which turns gain, amplifier, gauge offset and the strengths of the slip elements,
 //! and knows neither mass nor creep. Tried on this recording of the different stage it took 100 s of processor time, found that it
-//! follows the stage below 312 Hz only, and put the creep into gains and offsets (0.8 um): feedforward alone then errs by 7.3 % at
+//! follows the stage below 312 Hz only, and shifted gains and gauge offsets (by 0.8 um), presumably for the creep: feedforward alone then errs by 7.3 % at
 //! 1 Hz (here 0.38 %) and the full controller, which does not know where to put its notch, by 0.98 % at 100 Hz (here 0.33 %).
 
 use flexstage::generator::{GeneratorSettings, Multisine, Wave};
