@@ -127,12 +127,7 @@ fn by_axis(
     let by_axis = closed(model.as_ref().map_or(rig, |m| &m.fit.rig))?;
     // An axis that holds nearly all of the gap was searched by itself already.
     let alone = |axis: usize| {
-        let own: Stack = search
-            .base
-            .iter()
-            .zip(&scene.channels)
-            .map(|(row, c)| row.clone().filter(|_| c.axis == axis))
-            .collect();
+        let own = scene.on_axis(&search.base, axis);
         cost(&own) - noise_cost(scene, &own) > DECIDES * search.gap
     };
     let open: Vec<usize> = (0..axes)

@@ -9,7 +9,7 @@ use crate::Error;
 use crate::fit::rig_with;
 use crate::knobs::{EffectRef, axes_seen};
 use crate::model::{Term, knobs_of};
-use crate::scene::{Stack, Wanted, dot};
+use crate::scene::{Stack, Wanted};
 use crate::select::Search;
 
 /// Frequencies that are tried around a start, as steps beside it and their size: first the coarse ones, then between them.
@@ -57,13 +57,7 @@ impl Search<'_> {
             let stacks = self.scene.residuals(&jobs, self.include)?;
             for (start, &place) in starts.iter_mut().zip(places) {
                 let mask = axes_seen(self.nominal, effect, place);
-                let left = |stack: &Stack| -> f64 {
-                    let rows = stack.iter().zip(&self.scene.channels);
-                    rows.filter(|(_, c)| mask >> c.axis & 1 == 1)
-                        .filter_map(|(row, _)| row.as_ref())
-                        .map(|row| dot(row, row))
-                        .sum()
-                };
+                let left = |stack: &Stack| self.scene.cost_on(stack, mask);
                 let finite =
                     stacks.iter().map(left).zip(&ratios).filter(|(left, _)| left.is_finite());
                 let best = finite.min_by(|a, b| a.0.total_cmp(&b.0));

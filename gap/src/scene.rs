@@ -125,6 +125,18 @@ impl Scene {
         Self { runs_on: false, ..self.clone() }
     }
 
+    /// Cost of a stack over the channels of the axes in a mask.
+    pub fn cost_on(&self, stack: &Stack, axes: u32) -> f64 {
+        let rows = stack.iter().zip(&self.channels).filter(|(_, c)| axes >> c.axis & 1 == 1);
+        rows.filter_map(|(row, _)| row.as_ref()).map(|row| dot(row, row)).sum()
+    }
+
+    /// A stack with the channels of one axis alone.
+    pub fn on_axis(&self, stack: &Stack, axis: usize) -> Stack {
+        let rows = stack.iter().zip(&self.channels);
+        rows.map(|(row, c)| row.clone().filter(|_| c.axis == axis)).collect()
+    }
+
     /// Give the `fastest` bands of every channel no weight.
     pub fn leave_out(&mut self, fastest: usize) {
         if fastest > 0 {

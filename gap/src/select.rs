@@ -326,10 +326,7 @@ impl<'a> Search<'a> {
         if !uneven {
             return Ok(model);
         }
-        let left = |stack: &Stack, axis: usize| -> f64 {
-            let rows = stack.iter().zip(&self.scene.channels).filter(|(_, c)| c.axis == axis);
-            rows.filter_map(|(row, _)| row.as_ref()).map(|row| dot(row, row)).sum()
-        };
+        let left = |stack: &Stack, axis: usize| self.scene.cost_on(stack, 1 << axis);
         let axis_of = |p: &Place| match *p {
             Place::Axis(a) => a,
             Place::Pair { on, .. } => on,

@@ -8,7 +8,7 @@ use host_sim::effects::Place;
 use crate::Error;
 use crate::fit::{Effort, cost};
 use crate::model::{Model, Term};
-use crate::scene::{Stack, Wanted};
+use crate::scene::Wanted;
 use crate::select::{MOST_EFFECTS, Search, noise_cost};
 
 /// Effects that are tried in each place.
@@ -22,16 +22,12 @@ impl Search<'_> {
         let mut best = model;
         for axis in 0..self.nominal.axes.len() {
             let place = Place::Axis(axis);
-            let on_axis = |stack: &Stack| -> Stack {
-                let rows = stack.iter().zip(&self.scene.channels);
-                rows.map(|(row, c)| row.clone().filter(|_| c.axis == axis)).collect()
-            };
-            let base = on_axis(&self.base);
+            let base = self.scene.on_axis(&self.base, axis);
             let noise = noise_cost(self.scene, &base);
             let gap = cost(&base) - noise;
             for t in 0..best.terms.len() {
                 let Some(term) = best.terms.get(t) else { continue };
-                let left = cost(&on_axis(&best.fit.stack)) - noise;
+                let left = self.scene.cost_on(&best.fit.stack, 1 << axis) - noise;
                 let needed = self.worth_of_change(left);
                 if term.places.len() < 2 || !term.places.contains(&place) || left < CLOSED * gap {
                     continue;
@@ -40,7 +36,7 @@ impl Search<'_> {
                 let rig = best.without(self.nominal, t, |p| p == place)?;
                 let wanted = Wanted { axes: 1 << axis, monitors: true };
                 let stack = self.scene.residuals(&[(&rig, wanted)], self.include)?.remove(0);
-                let gains = self.screen.test(self.scene, &on_axis(&stack), None);
+                let gains = self.screen.test(self.scene, &stack, None);
                 for (effect, gains) in self.shortlist(&gains, &[name], OFFERS) {
                     let Some(gain) = gains.into_iter().find(|g| g.place == place) else { continue };
                     let mut terms =

@@ -1,5 +1,4 @@
 //! A long run of the closed loop costs no more per tick than a short one, in time and in memory.
-#![allow(missing_docs, reason = "a test")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;

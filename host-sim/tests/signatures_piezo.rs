@@ -67,13 +67,15 @@ fn a_linear_rig_can_get_hysteresis() {
     assert!(with > 0.0 && without.abs() < 0.1 * with, "{with} {without}");
 }
 
+/// Area of the third loop of a 60 V triangle.
+fn area(rig: &Rig, hz: f64) -> f64 {
+    let output = run(rig, 1e4, 3.0 / hz, triangle(60.0, hz));
+    let n = (1e4 / hz) as usize;
+    loop_area(&output.monitor_v[0][2 * n..], &output.position_m[0][2 * n..])
+}
+
 #[test]
 fn rate_dependence_widens_the_fast_loop_and_leaves_the_slow_one() {
-    let area = |rig: &Rig, hz: f64| {
-        let output = run(rig, 1e4, 3.0 / hz, triangle(60.0, hz));
-        let n = (1e4 / hz) as usize;
-        loop_area(&output.monitor_v[0][2 * n..], &output.position_m[0][2 * n..])
-    };
     let growth = single("hysteresis-rate", &[("per_decade", 0.3), ("reference_a", 1e-3)]);
     let loss = single("hysteresis-rate", &[("resistance_ohm", 300.0)]);
     for rig in [growth, loss] {
@@ -87,11 +89,6 @@ fn rate_dependence_widens_the_fast_loop_and_leaves_the_slow_one() {
 
 #[test]
 fn a_series_loss_goes_with_the_stated_power_of_the_current() {
-    let area = |rig: &Rig, hz: f64| {
-        let output = run(rig, 1e4, 3.0 / hz, triangle(60.0, hz));
-        let n = (1e4 / hz) as usize;
-        loop_area(&output.monitor_v[0][2 * n..], &output.position_m[0][2 * n..])
-    };
     let lost = |rig: &Rig, hz: f64| area(rig, hz) - area(&one_axis(), hz);
     for exponent in [0.3, 0.5, 1.0] {
         let rig =
