@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Bench, settings};
+use common::{Bench, cases, settings, wave};
 use flexstage::generator::{GeneratorSettings, Multisine, Wave};
 use flexstage::{
     AXES, Command, Config, Controller, Faults, Generator, Sample, Settings, State, Table,
@@ -10,31 +10,19 @@ use flexstage::{
 use proptest::prelude::*;
 
 fn generator() -> impl Strategy<Value = GeneratorSettings> {
-    let wave =
-        (-20.0f32..20.0, 0.0f32..20.0, 0.0f32..2_500.0, -1.0f32..1.0, 0.0f32..0.1, 0.0f32..0.2)
-            .prop_map(
-                |(center_um, amplitude_um, frequency_hz, phase_turns, blend_s, duration_s)| Wave {
-                    center_um,
-                    amplitude_um,
-                    frequency_hz,
-                    phase_turns,
-                    blend_s,
-                    duration_s,
-                },
-            );
     prop_oneof![
         Just(GeneratorSettings::Stop),
         (-50.0f32..50.0, 0.0f32..0.1)
             .prop_map(|(position_um, blend_s)| GeneratorSettings::Hold { position_um, blend_s }),
         (-50.0f32..50.0, 1.0e-4f32..0.1)
             .prop_map(|(target_um, duration_s)| GeneratorSettings::Ramp { target_um, duration_s }),
-        wave.clone().prop_map(GeneratorSettings::Triangle),
-        wave.clone().prop_map(GeneratorSettings::Sine),
-        wave.clone().prop_map(GeneratorSettings::Table),
-        (wave.clone(), 1.0e-3f32..100.0).prop_map(|(wave, slope_um_per_ms)| {
+        wave().prop_map(GeneratorSettings::Triangle),
+        wave().prop_map(GeneratorSettings::Sine),
+        wave().prop_map(GeneratorSettings::Table),
+        (wave(), 1.0e-3f32..100.0).prop_map(|(wave, slope_um_per_ms)| {
             GeneratorSettings::Square { wave, slope_um_per_ms }
         }),
-        (wave, 1u16..50, 1.0e-3f32..100.0).prop_map(|(wave, steps, slope_um_per_ms)| {
+        (wave(), 1u16..50, 1.0e-3f32..100.0).prop_map(|(wave, steps, slope_um_per_ms)| {
             GeneratorSettings::Staircase { wave, steps, slope_um_per_ms }
         }),
         (0.0f32..20.0, 0.1f32..5.0, 1u16..20, 0u16..5, 1u8..=16, any::<u32>()).prop_map(
@@ -107,12 +95,7 @@ fn table() -> Table {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig {
-        cases: 48,
-        rng_seed: proptest::test_runner::RngSeed::Fixed(2026),
-        failure_persistence: None,
-        ..ProptestConfig::default()
-    })]
+    #![proptest_config(cases(48))]
 
     /// Any samples, commands and exchanges of configuration: no panic, no step beyond the slew limit, and no code beyond
     /// the converter.

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Bench, axis_settings};
+use common::{Bench, axis_settings, cases};
 use flexstage::generator::{GeneratorSettings, Wave};
 use flexstage::settings::{AxisSettings, CreepSettings};
 use flexstage::{Command, Generator, Settings};
@@ -224,12 +224,7 @@ fn difference(axis: &AxisSettings, cross_n_per_m: [f32; 2], sine: Wave, wobble_u
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig {
-        cases: 64,
-        rng_seed: proptest::test_runner::RngSeed::Fixed(2026),
-        failure_persistence: None,
-        ..ProptestConfig::default()
-    })]
+    #![proptest_config(cases(64))]
 
     #[test]
     fn fixed_point_follows_double_precision(

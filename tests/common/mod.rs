@@ -1,6 +1,7 @@
 //! What the core's tests share: a gauge that answers the drive, and random but valid settings.
 #![allow(dead_code, reason = "each test file uses its part")]
 
+use flexstage::generator::Wave;
 use flexstage::settings::{AxisSettings, MaxwellSettings, NotchSettings};
 use flexstage::{AXES, Command, Config, Controller, Record, Sample, Settings, State, Table};
 use proptest::prelude::*;
@@ -12,6 +13,7 @@ pub struct Bench {
     pub volts_per_um: f64,
     pub drive_v: [f64; AXES],
     pub disturbance_um: f64,
+    pub table: Table,
 }
 
 impl Bench {
@@ -23,6 +25,7 @@ impl Bench {
             volts_per_um,
             drive_v: [0.0; AXES],
             disturbance_um: 0.0,
+            table: Table::EMPTY,
         }
     }
     pub fn tick(&mut self) -> Record {
@@ -34,7 +37,7 @@ impl Bench {
             monitor: std::array::from_fn(|axis| self.config.monitor_code(axis, self.drive_v[axis])),
             overrun: false,
         };
-        let record = self.controller.tick(&self.config, &Table::EMPTY, &sample);
+        let record = self.controller.tick(&self.config, &self.table, &sample);
         self.drive_v = record.axes.map(|axis| axis.drive.to_f64());
         record
     }
@@ -44,6 +47,31 @@ impl Bench {
         while self.tick().flags.state() == State::Arming {}
         assert_eq!(self.controller.state(), State::Hold);
     }
+}
+
+/// The same cases on every machine, and no file of past failures.
+pub fn cases(cases: u32) -> ProptestConfig {
+    ProptestConfig {
+        cases,
+        rng_seed: prop::test_runner::RngSeed::Fixed(2026),
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    }
+}
+
+/// What periodic waveforms share, anywhere in its ranges that a stage could have.
+pub fn wave() -> impl Strategy<Value = Wave> {
+    let times = (0.0f32..0.1, prop_oneof![Just(0.0f32), 0.01f32..0.3]);
+    (-20.0f32..20.0, 0.0f32..20.0, 0.0f32..2_500.0, -1.0f32..1.0, times).prop_map(
+        |(center_um, amplitude_um, frequency_hz, phase_turns, (blend_s, duration_s))| Wave {
+            center_um,
+            amplitude_um,
+            frequency_hz,
+            phase_turns,
+            blend_s,
+            duration_s,
+        },
+    )
 }
 
 /// Settings of one axis, anywhere in their ranges that a stage could have.
