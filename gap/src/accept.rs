@@ -55,6 +55,24 @@ pub fn gaps(scene: &Scene, stack: &Stack) -> Vec<AxisGapSize> {
         .collect()
 }
 
+/// Whether the difference between two stacks would count as a gap, on any axis or in any recording of one.
+pub fn counts(scene: &Scene, without: &Stack, with: &Stack) -> bool {
+    let mut axes = vec![(0.0, 0.0); scene.position_noise.len()];
+    for (c, channel) in scene.channels.iter().enumerate() {
+        let (Some(without), Some(with)) = (&without[c], &with[c]) else { continue };
+        let (own, floor, _) = channel.excess_of(without);
+        let saved = own - channel.excess(with);
+        if saved > CHANNEL_EXCESS * floor {
+            return true;
+        }
+        if channel.kind == Kind::Position {
+            let sum = &mut axes[channel.axis];
+            *sum = (sum.0 + saved, sum.1 + floor);
+        }
+    }
+    axes.iter().any(|(saved, floor)| *saved > AXIS_EXCESS * floor)
+}
+
 /// Bit mask of the axes where something may be missing: far looser than [`gaps`], since it only saves work. The noise is known to
 /// about half a per cent.
 pub fn loud_axes(scene: &Scene, stack: &Stack) -> u32 {

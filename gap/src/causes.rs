@@ -61,6 +61,9 @@ pub(crate) fn causes_of(
             high - low <= 0.1 * high.abs().max(low.abs())
         });
         for (k, p) in info.parameters.iter().enumerate() {
+            if whole.fit.knobs[at + k].is_frozen() {
+                continue;
+            }
             if agree {
                 let n = term.places.len() as f64;
                 let value = (0..term.places.len()).map(|q| whole.values(t, q)[k]).sum::<f64>() / n;

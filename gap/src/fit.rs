@@ -99,7 +99,7 @@ fn difference(knob: &Knob, coordinate: f64) -> f64 {
 /// Groups of knobs that share a simulation because their channels do not overlap.
 fn groups(knobs: &[Knob], rig: &Rig) -> Vec<(Vec<usize>, Wanted)> {
     let mut groups: Vec<(Vec<usize>, Wanted)> = Vec::new();
-    for (index, knob) in knobs.iter().enumerate() {
+    for (index, knob) in knobs.iter().enumerate().filter(|(_, knob)| !knob.is_frozen()) {
         let wanted = knob.wanted(rig);
         match groups
             .iter_mut()
@@ -342,7 +342,7 @@ pub fn fit(
         .zip(&values)
         .map(|(k, &v)| {
             let slack = 1.0e-6 * (k.max - k.min).abs();
-            v <= k.min + slack || v >= k.max - slack
+            !k.is_frozen() && (v <= k.min + slack || v >= k.max - slack)
         })
         .collect();
     Ok(Fit { knobs, values, rig, cost: best, stack, normal, at_bound })
@@ -462,6 +462,9 @@ impl Fit {
         let Some(inverse) = regular.try_inverse() else { return vec![f64::INFINITY; n] };
         (0..n)
             .map(|k| {
+                if self.knobs[k].is_frozen() {
+                    return 0.0;
+                }
                 let sd = (inverse[(k, k)].max(0.0) * inflate).sqrt();
                 if self.knobs[k].log { sd * self.values[k].abs() } else { sd * self.knobs[k].scale }
             })

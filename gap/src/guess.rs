@@ -26,6 +26,8 @@ pub struct Ranges {
     pub lines_hz: Vec<f64>,
     /// Lines of the monitor residual.
     pub monitor_lines_hz: Vec<f64>,
+    /// Whether some line is twice another one, and three times.
+    pub harmonics: [bool; 2],
     /// Frequency where the rig answers most beyond its model, Hz.
     pub resonance_hz: Option<f64>,
     /// Stiffness of stack and mechanism together, N/m (first axis).
@@ -80,12 +82,18 @@ pub fn ranges(scene: &Scene, rig: &Rig, raw: &Stack) -> Result<Ranges, Error> {
             }
         }
     }
+    let [positions, monitors] = [Kind::Position, Kind::Monitor].map(|kind| lines(scene, raw, kind));
+    let strongest = |lines: &[f64], kind| -> Vec<f64> {
+        lines.iter().take(3).map(|&hz| coherent(scene, raw, kind, hz)).collect()
+    };
     Ok(Ranges {
         drive_v: drive,
         travel_m: travel,
         current_a: current,
-        lines_hz: lines(scene, raw, Kind::Position),
-        monitor_lines_hz: lines(scene, raw, Kind::Monitor),
+        lines_hz: strongest(&positions, Kind::Position),
+        monitor_lines_hz: strongest(&monitors, Kind::Monitor),
+        harmonics: [2.0, 3.0]
+            .map(|order| has_harmonic(&positions, order) || has_harmonic(&monitors, order)),
         resonance_hz: resonance(scene, raw),
         stiffness_n_per_m: rig.axes[0].piezo.stiffness_n_per_m
             + rig.axes[0].mechanism.stiffness_n_per_m,
@@ -122,7 +130,15 @@ pub fn spectrum(row: &[f32], rate_hz: f64) -> (f64, Vec<f64>) {
 /// Slowest hum, Hz: mains and supplies are faster, and what stands out below is a harmonic of a slow drive, a nonlinearity.
 const SLOWEST_HUM_HZ: f64 = 20.0;
 
-/// Lines that stand out of their neighbourhood, summed over recordings on a grid of half a hertz.
+/// Lines that are looked at for harmonics.
+const MOST_LINES: usize = 8;
+
+/// Whether one of the lines is this multiple of another one.
+fn has_harmonic(lines: &[f64], order: f64) -> bool {
+    lines.iter().any(|hz| lines.iter().any(|of| (hz - order * of).abs() < 0.6 * order))
+}
+
+/// Lines that stand out of their neighbourhood, the strongest first, summed over recordings on a grid of half a hertz.
 fn lines(scene: &Scene, raw: &Stack, kind: Kind) -> Vec<f64> {
     let mut found: Vec<(f64, f64)> = Vec::new();
     for (c, channel) in scene.channels.iter().enumerate() {
@@ -160,7 +176,7 @@ fn lines(scene: &Scene, raw: &Stack, kind: Kind) -> Vec<f64> {
         }
     }
     found.sort_by(|a, b| b.1.total_cmp(&a.1));
-    found.into_iter().take(3).map(|(hz, _)| coherent(scene, raw, kind, hz)).collect()
+    found.into_iter().take(MOST_LINES).map(|(hz, _)| hz).collect()
 }
 
 /// Frequency near `hz` whose phase runs on over the whole session: single recordings are too short to tell it.

@@ -110,6 +110,11 @@ impl Knob {
         }
     }
 
+    /// Whether there is nothing to turn.
+    pub fn is_frozen(&self) -> bool {
+        self.min == self.max
+    }
+
     /// Whether it ties the motion of axes together.
     pub fn couples(&self) -> bool {
         matches!(&self.target, Target::Effect { effect, .. } if effect.info().scope != Scope::Axis)
@@ -204,6 +209,12 @@ pub fn knobs_at(effect: EffectRef, place: Place, ranges: &Ranges) -> Vec<Knob> {
             // A bend that ends far beyond the travel is a gain.
             if (info.name, p.name) == ("sensor-nonlinearity", "zero_m") {
                 knob.max = knob.max.min(FARTHEST_ZERO * ranges.travel_m.1.abs());
+            }
+            // A hum has the harmonics that the spectrum shows.
+            for (order, seen) in ["second_", "third_"].iter().zip(ranges.harmonics) {
+                if info.name.ends_with("-hum") && p.name.starts_with(order) && !seen {
+                    (knob.min, knob.max) = (p.zero, p.zero);
+                }
             }
             if let Some(step) = fine_step(info.name, p.name, ranges) {
                 knob.origin = 0.0;

@@ -131,6 +131,12 @@ impl Scene {
         rows.filter_map(|(row, _)| row.as_ref()).map(|row| dot(row, row)).sum()
     }
 
+    /// Energy of positions beyond noise in a whitened stack, the weights undone.
+    pub fn excess(&self, stack: &Stack) -> f64 {
+        let rows = stack.iter().zip(&self.channels).filter(|(_, c)| c.kind == Kind::Position);
+        rows.filter_map(|(row, c)| row.as_ref().map(|row| c.excess(row))).sum()
+    }
+
     /// A stack with the channels of one axis alone.
     pub fn on_axis(&self, stack: &Stack, axis: usize) -> Stack {
         let rows = stack.iter().zip(&self.channels);

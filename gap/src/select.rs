@@ -122,17 +122,24 @@ impl<'a> Search<'a> {
             let Some(candidate) = self.best_of(size) else { break };
             let leftover = best.as_ref().map_or(self.gap, |b| b.fit.cost - self.noise);
             let saved = leftover - (candidate.fit.cost - self.noise);
-            let needed = if size == 1 {
-                WORTH_ABSOLUTE.max(WORTH_OF_FIRST * self.gap)
-            } else {
-                self.worth_of_further(leftover)
+            let is_worth_it = match &best {
+                None => saved > WORTH_ABSOLUTE.max(WORTH_OF_FIRST * self.gap),
+                Some(best) => {
+                    saved > self.worth_of_further(leftover)
+                        || self.closes_much(best, &candidate, saved)
+                }
             };
-            if saved <= needed {
+            if !is_worth_it {
                 break;
             }
             let left = candidate.fit.cost - self.noise;
+            let is_closed =
+                crate::accept::gaps(self.scene, &candidate.fit.stack).iter().all(|g| !g.counts);
             best = Some(candidate);
-            if size == MOST_EFFECTS || left < WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap) {
+            if size == MOST_EFFECTS
+                || is_closed
+                || left < WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap)
+            {
                 break;
             }
             self.widen(size)?;
@@ -157,6 +164,17 @@ impl<'a> Search<'a> {
         // A small effect beside a large one: it must account for nearly all that the large one leaves.
         let rest = (NEARLY_ALL * leftover).max(0.1 * WORTH_OF_GAP * self.gap);
         WORTH_ABSOLUTE.max(fair.min(rest))
+    }
+
+    /// Whether a model takes as much off what a smaller one leaves in nanometres as is asked for in cost. A constant is many nanometres
+    /// and little cost: there is one number of it in a recording, and thousands of the noise that all models leave.
+    fn closes_much(&self, smaller: &Model, larger: &Model, saved: f64) -> bool {
+        let left = |stack| self.scene.excess(stack);
+        let (whole, before) = (left(&self.base), left(&smaller.fit.stack));
+        let closed = before - left(&larger.fit.stack);
+        saved > WORTH_ABSOLUTE
+            && closed > WORTH_OF_LEFTOVER * before
+            && closed > WORTH_OF_GAP * whole
     }
 
     /// Cost that another effect must remove in place of one, where `leftover` is left.
@@ -227,7 +245,11 @@ impl<'a> Search<'a> {
                 self.include,
             )?;
             let gains = self.screen.test(self.scene, &stack, Some(&sensitivities));
+            let needed = cost(&stack) - model.fit.cost;
             for (effect, gains) in self.shortlist(&gains, &names, self.breadth.swaps) {
+                if gains.iter().map(|g| g.gain).sum::<f64>() < PROMISE * needed {
+                    continue;
+                }
                 let mut key: Vec<&str> = terms.iter().map(Term::name).collect();
                 key.push(effect.info().name);
                 key.sort_unstable();
@@ -392,6 +414,7 @@ impl<'a> Search<'a> {
         let mut model = model;
         loop {
             let worth = self.worth(&model)?;
+            let noticed = self.noticed(&model)?;
             let mut kept_terms = Vec::new();
             let mut start = Vec::new();
             let mut dropped = false;
@@ -401,7 +424,8 @@ impl<'a> Search<'a> {
                 let mut places = Vec::new();
                 for (p, &place) in term.places.iter().enumerate() {
                     let needed = worth[t][p] > WORTH_OF_PLACE.max(0.004 * top);
-                    let term_needed = total > WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap);
+                    let term_needed =
+                        noticed[t] && total > WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap);
                     if needed && term_needed {
                         places.push(place);
                         start.extend_from_slice(model.values(t, p));
@@ -418,6 +442,21 @@ impl<'a> Search<'a> {
             }
             model = self.fit_model(kept_terms, start, Effort { iterations: 4, ..self.effort() })?;
         }
+    }
+
+    /// Whether each effect takes off what by itself would count as a gap. With long recordings far less is significant: what another
+    /// one's form leaves, which is no cause.
+    fn noticed(&self, model: &Model) -> Result<Vec<bool>, Error> {
+        if model.terms.len() < 2 {
+            return Ok(vec![true; model.terms.len()]);
+        }
+        let rigs = (0..model.terms.len())
+            .map(|t| model.without(self.nominal, t, |_| true))
+            .collect::<Result<Vec<_>, _>>()?;
+        let jobs: Vec<(&Rig, Wanted)> = rigs.iter().map(|rig| (rig, Wanted::ALL)).collect();
+        let stacks = self.scene.residuals(&jobs, self.include)?;
+        let counts = |without| crate::accept::counts(self.scene, without, &model.fit.stack);
+        Ok(stacks.iter().map(counts).collect())
     }
 
     /// Rise of the cost when each place of each term is taken out, the rest left as it is.

@@ -9,6 +9,8 @@ use std::fmt;
 
 use crate::stages::model::Model;
 
+mod hum;
+
 /// An effect of the catalogue.
 pub trait Effect: Sync {
     /// Name, parameters, physics: what people and fits need to know.

@@ -1,5 +1,6 @@
 //! sensor-hum: mains frequency in the gauge's reading.
 
+use super::hum::{self, Hum};
 use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
 use crate::stages::model::{Model, SensorBlock};
 
@@ -7,34 +8,27 @@ pub(super) struct SensorHum;
 
 pub(super) const EFFECT: SensorHum = SensorHum;
 
+const NAMES: [&str; 6] =
+    ["cos_m", "sin_m", "second_cos_m", "second_sin_m", "third_cos_m", "third_sin_m"];
+static PARAMETERS: [Parameter; 7] = hum::parameters(NAMES, "m", 1.0e-5, 1.0e-8);
+
 static INFO: Info = Info {
     name: "sensor-hum",
     stage: Stage::Sensor,
     kind: Kind::Structural,
     scope: Scope::Axis,
-    parameters: &[
-        Parameter::size("cos_m", "m", 0.0, (-1.0e-5, 1.0e-5), 1.0e-8, "part in phase with the session's clock"),
-        Parameter::size("sin_m", "m", 0.0, (-1.0e-5, 1.0e-5), 1.0e-8, "part a quarter period behind"),
-        Parameter::shape("frequency_hz", "Hz", (1.0, 5.0e3), 50.0, "frequency"),
-    ],
+    parameters: &PARAMETERS,
     threshold: false,
-    physics: "y = x + cos_m cos(w t) + sin_m sin(w t), t on the session's clock: pick-up of bridge and conditioner. It \
+    physics: "y = x + cos_m cos(w t) + sin_m sin(w t) and the same at 2 w and 3 w (a rectifier has them), t on the session's clock: pick-up of bridge and conditioner. It \
               moves nothing, so it is the same at every bias and absent from the monitor.",
     source: "mains at 50 or 60 Hz and harmonics",
     revealed_by: "rest; the monitor (absent there); a second sample rate tells aliases",
     confused_with: &["amplifier-hum"],
 };
 
-struct Hum {
-    cos: f64,
-    sin: f64,
-    rate_per_s: f64,
-}
-
 impl SensorBlock for Hum {
     fn read(&mut self, value_m: f64, _bare_m: &[f64], time_s: f64) -> f64 {
-        let (sin, cos) = (self.rate_per_s * time_s).sin_cos();
-        value_m + self.cos * cos + self.sin * sin
+        value_m + self.at(time_s)
     }
 }
 
@@ -44,8 +38,7 @@ impl Effect for SensorHum {
     }
 
     fn apply(&self, values: &[f64], place: Place, model: &mut Model, _step_s: f64) {
-        let rate_per_s = std::f64::consts::TAU * values[2];
-        let hum = Hum { cos: values[0], sin: values[1], rate_per_s };
+        let hum = Hum::new(values);
         model.axes[place.on()].sensor.blocks.push(Box::new(hum));
     }
 }
