@@ -173,12 +173,18 @@ fn by_axis(
     Ok(Some(search.fit_model(terms, start.concat(), effort)?))
 }
 
+/// A gap in a held-out recording that is worth another look, in noise variances.
+const MISSED_GAP: f64 = 200.0;
+/// ... and as a share of the gap of all recordings held out.
+const MISSED_SHARE: f64 = 0.01;
+
 /// Held-out recordings whose gap the model leaves open: worth a look with these recordings among the fitted ones.
 fn missed(scene: &Scene, rig: &Rig, model: &Model) -> Result<Vec<usize>, Error> {
     let held = |c: &Channel| c.held_out;
     let mut stacks = scene.residuals(&[(rig, Wanted::ALL), (&model.fit.rig, Wanted::ALL)], held)?;
     let after = stacks.remove(1);
     let before = stacks.remove(0);
+    let whole = cost(&before) - noise_cost(scene, &before);
     let mut missed = Vec::new();
     for track in 0..scene.tracks.len() {
         let pick = |stack: &Stack| -> Stack {
@@ -191,7 +197,7 @@ fn missed(scene: &Scene, rig: &Rig, model: &Model) -> Result<Vec<usize>, Error> 
         let (b, a) = (pick(&before), pick(&after));
         let noise = noise_cost(scene, &b);
         let (gap, left) = (cost(&b) - noise, cost(&a) - noise);
-        if gap > 200.0 && left > 0.5 * gap {
+        if gap > MISSED_GAP.max(MISSED_SHARE * whole) && left > 0.5 * gap {
             missed.push(track);
         }
     }

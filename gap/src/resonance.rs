@@ -9,11 +9,14 @@ use crate::Error;
 use crate::fit::rig_with;
 use crate::knobs::{EffectRef, axes_seen};
 use crate::model::{Term, knobs_of};
-use crate::scene::{Stack, Wanted};
+use crate::scene::{Channel, Stack, Wanted, dot};
 use crate::select::Search;
 
 /// Frequencies that are tried around a start, as steps beside it and their size: first the coarse ones, then between them.
 const SCANS: [(i32, f64); 2] = [(7, 0.01), (3, 0.0025)];
+
+/// Share of the gap that the recordings hold in which frequencies are tried.
+const TELLING: f64 = 0.8;
 
 impl Search<'_> {
     /// Start values of `effect` at `places`, one set a place, moved to the frequencies that suit the session best beside the
@@ -40,6 +43,8 @@ impl Search<'_> {
             _ => return Ok(starts),
         };
         let mass_kg = self.ranges.mass_kg;
+        let telling = self.telling();
+        let include = |c: &Channel| (self.include)(c) && telling.contains(&c.track);
         for (reach, step) in SCANS {
             let ratios: Vec<f64> = (-reach..=reach).map(|k| 1.0 + f64::from(k) * step).collect();
             let mut rigs = Vec::with_capacity(ratios.len());
@@ -54,7 +59,7 @@ impl Search<'_> {
             let axes = places.iter().fold(0, |m, &p| m | axes_seen(self.nominal, effect, p));
             let jobs: Vec<_> =
                 rigs.iter().map(|rig| (rig, Wanted { axes, monitors: false })).collect();
-            let stacks = self.scene.residuals(&jobs, self.include)?;
+            let stacks = self.scene.residuals(&jobs, include)?;
             for (start, &place) in starts.iter_mut().zip(places) {
                 let mask = axes_seen(self.nominal, effect, place);
                 let left = |stack: &Stack| self.scene.cost_on(stack, mask);
@@ -67,5 +72,26 @@ impl Search<'_> {
             }
         }
         Ok(starts)
+    }
+
+    /// The recordings that hold most of the gap. A frequency that is off shows where the resonance rings, and costs a simulation of
+    /// everything else.
+    fn telling(&self) -> Vec<usize> {
+        let mut gaps = vec![0.0; self.scene.tracks.len()];
+        for (row, channel) in self.base.iter().zip(&self.scene.channels) {
+            if let Some(row) = row {
+                gaps[channel.track] += dot(row, row) - channel.noise_cost();
+            }
+        }
+        let mut order: Vec<usize> = (0..gaps.len()).filter(|&track| gaps[track] > 0.0).collect();
+        order.sort_by(|&a, &b| gaps[b].total_cmp(&gaps[a]));
+        let wanted = TELLING * gaps.iter().map(|gap| gap.max(0.0)).sum::<f64>();
+        let mut held = 0.0;
+        order.retain(|&track| {
+            let is_needed = held < wanted;
+            held += gaps[track];
+            is_needed
+        });
+        order
     }
 }

@@ -423,6 +423,14 @@ impl Channel {
             .sum()
     }
 
+    /// Cost that noise alone would leave: the sum of all weights squared times the variance that cannot be explained.
+    pub fn noise_cost(&self) -> f64 {
+        let levels = self.unrepeatable.iter().zip(&self.weights).enumerate();
+        levels
+            .map(|(l, (v, w))| self.levels.range(l).len() as f64 * v * f64::from(*w).powi(2))
+            .sum()
+    }
+
     /// Energy of a whitened row beyond noise, that of the noise, and the standard deviation squared of the latter; weights undone.
     pub fn excess_of(&self, row: &[f32]) -> (f64, f64, f64) {
         let (mut floor, mut spread) = (0.0, 0.0);

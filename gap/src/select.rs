@@ -506,14 +506,6 @@ pub fn noise_cost(scene: &Scene, stack: &Stack) -> f64 {
         .iter()
         .zip(stack)
         .filter(|(_, row)| row.is_some())
-        .map(|(channel, _)| {
-            (0..channel.levels.count())
-                .map(|l| {
-                    channel.levels.range(l).len() as f64
-                        * channel.unrepeatable[l]
-                        * f64::from(channel.weights[l]).powi(2)
-                })
-                .sum::<f64>()
-        })
+        .map(|(channel, _)| channel.noise_cost())
         .sum()
 }
