@@ -9,6 +9,7 @@
 pub mod accept;
 pub mod ambiguity;
 mod causes;
+mod descent;
 pub mod diagnose;
 pub mod diagnosis;
 pub mod energy;
