@@ -13,6 +13,9 @@ use crate::{AXES, creep};
 mod axis;
 use axis::{Axis, Shared};
 
+/// Two ticks an axis.
+const TAKEOVER_TICKS: u32 = 2 * AXES as u32;
+
 /// State of the controller. Holds no configuration.
 #[derive(Clone, Debug)]
 pub struct Controller {
@@ -29,6 +32,8 @@ pub struct Controller {
     bump_weight: u32,
     bump_step: u32,
     creep_clock: u32,
+    /// Ticks until the slip elements of all axes have taken over a new model: two an axis.
+    takeovers: u32,
     /// The loop closes at this tick: memories start from the present.
     closing: bool,
     parked: bool,
@@ -56,6 +61,7 @@ impl Controller {
             bump_weight: 0,
             bump_step: 0,
             creep_clock: 0,
+            takeovers: 0,
             closing: false,
             parked: false,
         }
@@ -308,8 +314,15 @@ impl Controller {
             self.bump_weight = u32::MAX;
             self.bump_step =
                 if closing { config.guard.arming_step } else { config.guard.transition_step };
+            self.takeovers = if closing { 0 } else { TAKEOVER_TICKS };
         }
-        self.bump_weight = self.bump_weight.saturating_sub(self.bump_step);
+        // The tick of a change holds the drives, whatever the new configuration wants.
+        if !rebase || closing {
+            self.bump_weight = self.bump_weight.saturating_sub(self.bump_step);
+            if self.takeovers != 0 {
+                self.take_over(config);
+            }
+        }
 
         let mut moving = false;
         for (axis, settings) in self.axes.iter_mut().zip(&config.axes) {
@@ -346,6 +359,19 @@ impl Controller {
             c.control::<false>(of_c, &shared, out_c);
         }
         a.limits.with(b.limits).with(c.limits)
+    }
+
+    /// In the ticks after a change of configuration the slip elements take over, half an axis a tick: all of them in the tick of the
+    /// change would cost as much again as two thirds of a tick.
+    #[cold]
+    #[inline(always)]
+    fn take_over(&mut self, config: &Config) {
+        let done = TAKEOVER_TICKS.wrapping_sub(self.takeovers);
+        self.takeovers -= 1;
+        let k = done as usize / 2;
+        if let (Some(axis), Some(settings)) = (self.axes.get_mut(k), config.axes.get(k)) {
+            axis.take_over(settings, done.is_multiple_of(2));
+        }
     }
 
     /// Tell each axis where the others will be.

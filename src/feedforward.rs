@@ -77,7 +77,8 @@ impl FeedforwardState {
 
 impl Feedforward {
     /// Drive for a motion two ticks ahead. `others`: displacements of the next two axes in cyclic order. `rebase`: coefficients
-    /// have changed, take present values as the start; slip elements only where they or their charge are other ones.
+    /// have changed, take present values as the start. Slip elements, where they or their charge are other ones, wait for
+    /// [`Feedforward::take_over`], unless they are relaxed.
     #[inline(always)]
     pub(crate) fn step(
         &self,
@@ -106,8 +107,12 @@ impl Feedforward {
             let charge =
                 (self.charge_per_um * elastic + self.charge_per_volt * transducer).narrow();
             if rebase && state.model != self.model {
-                state.model = self.model;
-                state.hysteresis.rebase(&self.maxwell, charge);
+                if state.hysteresis.is_relaxed() {
+                    state.model = self.model;
+                    state.hysteresis.relax(&self.maxwell, charge);
+                } else {
+                    state.hysteresis.carry(charge);
+                }
             }
             stack += state.hysteresis.step(&self.maxwell, charge);
         }
@@ -116,6 +121,27 @@ impl Feedforward {
         state.change = change;
         state.stack = stack;
         if self.lead.is_zero() { stack } else { stack + (self.lead * change).narrow() }
+    }
+
+    /// The slip elements of a model that came into effect some ticks ago make ready to take over from the old ones.
+    #[inline(always)]
+    pub(crate) fn fit(&self, state: &mut FeedforwardState) {
+        if !self.maxwell.is_empty() && state.model != self.model {
+            state.hysteresis.fit(&self.maxwell);
+        }
+    }
+
+    /// They take over. Returns by how much the drive for the motion of the tick of the change is another one.
+    #[inline(always)]
+    pub(crate) fn take_over(&self, state: &mut FeedforwardState) -> Volt {
+        if self.maxwell.is_empty() || state.model == self.model {
+            return Volt::ZERO;
+        }
+        state.model = self.model;
+        let change = state.hysteresis.take_over(&self.maxwell);
+        // The amplifier's lead is for changes of the motion, not of the model.
+        state.stack += change;
+        change
     }
 
     /// Drive for a motion that has not changed for some ticks, and neither has anything else: as [`Feedforward::step`] would return.

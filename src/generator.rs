@@ -5,14 +5,16 @@
 
 use crate::math::{self, phase_of_turns, sin_q30};
 use crate::settings::{Check, SettingsError};
-use crate::units::Um;
+use crate::units::{Um, clamp_bits, narrow};
 use crate::{MAX_TONES, TICK_HZ, TICK_S};
 
 mod table;
 mod waves;
 
 pub use table::Table;
-use waves::{clip_q30, multisine_scale, multisine_sum, staircase_q30, triangle_q30};
+use waves::{
+    clip_q30, multisine_scale, multisine_signs, multisine_sum, staircase_q30, triangle_q30,
+};
 
 /// A reference waveform in physical units. Amplitudes are peak values about the centre: a 10 um stroke has amplitude 5 um.
 #[derive(
@@ -56,7 +58,7 @@ pub enum GeneratorSettings {
         /// Slope of the edges, um/ms.
         slope_um_per_ms: f32,
     },
-    /// Sum of equally strong sines at multiples of a base frequency, with phases drawn from a seed.
+    /// Sum of equally strong sines at multiples of a base frequency, with signs drawn from a seed.
     Multisine(Multisine),
     /// Sine whose frequency grows or falls exponentially, once; then it fades out at its last frequency, and the centre is held.
     Sweep {
@@ -111,7 +113,8 @@ impl Wave {
     }
 }
 
-/// A random-phase multisine.
+/// A multisine with random signs: phases 0 and half a turn, so that it starts and ends at its centre. (Any phases would take a sine a tone
+/// in the tick; these take one multiplication.)
 #[derive(
     Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema,
 )]
@@ -129,7 +132,7 @@ pub struct Multisine {
     pub stride: u16,
     /// Number of tones, 1 to 16.
     pub tones: u8,
-    /// Seed of the phases: the same seed gives the same signal on every machine.
+    /// Seed of the signs: the same seed gives the same signal on every machine.
     pub seed: u32,
     /// Time over which it fades in, and out at the end, s.
     pub blend_s: f32,
@@ -161,7 +164,7 @@ pub(crate) enum Shape {
         first: u16,
         stride: u16,
         tones: u8,
-        seed: u32,
+        signs: u32,
         scale: i32,
     },
     /// Relative growth of the frequency per tick in 2^-40.
@@ -283,13 +286,14 @@ impl Generator {
                     TICK_HZ as f32 / 4.0,
                     "Hz at the highest tone",
                 )?;
+                let signs = multisine_signs(m.seed);
                 Ok(Self {
                     shape: Shape::Multisine {
                         first: m.first,
                         stride: m.stride,
                         tones: m.tones,
-                        seed: m.seed,
-                        scale: multisine_scale(m.first, m.stride, m.tones, m.seed, highest),
+                        signs,
+                        scale: multisine_scale(m.first, m.stride, m.tones, signs, highest),
                     },
                     center: position("center_um", m.center_um)?,
                     amplitude: amplitude("peak_um", m.peak_um)?,
@@ -344,26 +348,36 @@ impl Generator {
     pub(crate) fn wave(&self, table: Option<&Table>, phase: u32) -> i32 {
         match self.shape {
             Shape::Sine | Shape::Sweep { .. } => sin_q30(phase),
+            Shape::Multisine { .. } => self.multisine(phase),
             _ => self.other_wave(table, phase),
         }
     }
 
-    /// All but the sine, which then needs no memory on the stack.
+    /// The dearest waveform, apart from the others: it has all registers then.
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
+    fn multisine(&self, phase: u32) -> i32 {
+        let Shape::Multisine { first, stride, tones, signs, scale } = self.shape else { return 0 };
+        let sum = multisine_sum(phase, first, stride, tones, signs);
+        clamp_bits::<31>(narrow::<25>(sum as i64 * scale as i64))
+    }
+
+    /// All others; the sine then needs no memory on the stack.
     #[inline(never)]
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
     fn other_wave(&self, table: Option<&Table>, phase: u32) -> i32 {
         match self.shape {
-            Shape::Stop | Shape::Go { .. } | Shape::Sine | Shape::Sweep { .. } => 0,
+            Shape::Stop
+            | Shape::Go { .. }
+            | Shape::Sine
+            | Shape::Sweep { .. }
+            | Shape::Multisine { .. } => 0,
             Shape::Triangle => triangle_q30(phase),
             Shape::Square { steepness } => {
                 let steep = (triangle_q30(phase) as i64 * steepness as i64) >> 16;
                 clip_q30(steep)
             }
             Shape::Staircase { steps, steepness } => staircase_q30(phase, steps, steepness),
-            Shape::Multisine { first, stride, tones, seed, scale } => {
-                let sum = multisine_sum(phase, first, stride, tones, seed);
-                clip_q30((sum as i64 * scale as i64) >> 25)
-            }
             Shape::Table => match table {
                 Some(table) => table.at(phase),
                 None => 0,

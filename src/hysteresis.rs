@@ -25,11 +25,12 @@ pub struct Maxwell {
 /// Where the elements stand.
 #[derive(Clone, Copy, Debug)]
 pub struct HysteresisState {
-    /// The charge, and the charge at which the next element slips, [mirrored](mirror) while the charge falls: both directions are then
-    /// one comparison.
+    /// The charge, and the charge at which the next element slips, both [mirrored](HysteresisState::mirrored) while the charge falls:
+    /// both directions are then one comparison.
     last: i32,
     end: i32,
-    falling: bool,
+    /// All bits set while the charge falls, none while it rises.
+    falling: i32,
     /// Elements that slip: the first ones.
     slipping: usize,
     /// The line: voltage = slope * charge + offset.
@@ -41,99 +42,151 @@ pub struct HysteresisState {
     places: [MicroCoulomb; MAX_MAXWELL],
     /// Elements that `places` knows; others are relaxed.
     known: usize,
-}
-
-/// The bits of a charge, all inverted if it falls: the order of charges is then the other way round, and nothing can overflow.
-#[inline(always)]
-const fn mirror(charge: MicroCoulomb, falling: bool) -> i32 {
-    charge.to_bits() ^ -(falling as i32)
+    /// Between [`HysteresisState::carry`] and [`HysteresisState::take_over`]: the charges of the old and of the new model at one and
+    /// the same instant.
+    carried: Option<[MicroCoulomb; 2]>,
 }
 
 impl HysteresisState {
-    /// Relaxed: a stack that was never driven, or was demagnetised. [`HysteresisState::rebase`] comes before the first step.
+    /// Relaxed: a stack that was never driven, or was demagnetised. [`HysteresisState::relax`] comes before the first step.
     pub const RELAXED: Self = Self {
         last: 0,
         end: i32::MAX,
-        falling: false,
+        falling: 0,
         slipping: 0,
         slope: Gain::ZERO,
         offset: Wide::ZERO,
         stiffest: Gain::ZERO,
         places: [MicroCoulomb::ZERO; MAX_MAXWELL],
         known: 0,
+        carried: None,
     };
 
     /// As [`HysteresisState::RELAXED`], in place.
     #[inline(always)]
     pub fn reset(&mut self) {
         self.known = 0;
+        self.carried = None;
     }
 
-    /// Takes `charge` as the present one, and `elements` as the elements, without making one slip that did not before.
+    /// Whether there is nothing that other elements could take over.
+    #[inline(always)]
+    pub const fn is_relaxed(&self) -> bool {
+        self.known == 0
+    }
+
+    /// The bits of a charge, all inverted while it falls: the order of charges is then the other way round, and nothing can
+    /// overflow. What is added to a mirrored charge is added in the direction of the motion.
+    #[inline(always)]
+    const fn mirrored(&self, charge: MicroCoulomb) -> i32 {
+        charge.to_bits() ^ self.falling
+    }
+
+    /// The charge that has these bits when it is mirrored.
+    #[inline(always)]
+    const fn unmirrored(&self, bits: i32) -> MicroCoulomb {
+        MicroCoulomb::from_bits(bits ^ self.falling)
+    }
+
+    /// Takes `charge` as the present one, at which all of `elements` are relaxed. On the tick that closes the loop all axes come here.
     #[cold]
     #[inline(never)]
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
-    pub fn rebase(&mut self, elements: &[Maxwell], charge: MicroCoulomb) {
-        (self.slope, self.offset) = if self.known == 0 {
-            self.relax(elements, charge)
-        } else {
-            self.take_over(elements, charge)
-        };
-        self.stiffest = self.slope;
-        self.last = mirror(charge, self.falling);
-        self.slipping = 0;
-        self.known = elements.len();
-        self.slip(elements);
-    }
-
-    /// All elements stick at `charge`, relaxed. The line. On the tick that closes the loop all axes come here.
-    #[inline(always)]
-    fn relax(
-        &mut self,
-        elements: &[Maxwell],
-        charge: MicroCoulomb,
-    ) -> (Gain<MicroCoulomb, Volt>, Wide<Volt>) {
+    pub fn relax(&mut self, elements: &[Maxwell], charge: MicroCoulomb) {
         let mut slope = Gain::ZERO;
         for (place, element) in self.places.iter_mut().zip(elements) {
             *place = charge;
             slope = slope + element.elastance;
         }
-        (slope, Wide::ZERO - slope * charge)
+        self.all_stick(elements, charge, slope, Wide::ZERO - slope * charge);
     }
 
-    /// All elements stick at `charge`, as far from it as they stood before. The line.
-    #[inline(always)]
-    fn take_over(
+    /// The model has changed, and with it the charge of the present instant: until [`HysteresisState::take_over`] the voltage goes on
+    /// along its line, from `charge`.
+    #[cold]
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
+    pub fn carry(&mut self, charge: MicroCoulomb) {
+        let (before, from) = match self.carried {
+            None => (self.unmirrored(self.last), self.unmirrored(self.last)),
+            Some([before, from]) => (before, from),
+        };
+        self.offset = self.offset + self.slope * from - self.slope * charge;
+        self.carried = Some([before, charge]);
+    }
+
+    /// First half of taking over: the elements of the new model stand as far from the charge as those of the old one did when
+    /// [`HysteresisState::carry`] was called, as far as they may. Until [`HysteresisState::take_over`], `places` are all elastic charges.
+    ///
+    /// Both halves visit all elements: the controller does one of them for one axis a tick.
+    #[cold]
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
+    pub fn fit(&mut self, elements: &[Maxwell]) {
+        let Some([before, _]) = self.carried else { return };
+        if let Some(sticking) = self.places.get_mut(self.slipping..self.known) {
+            for place in sticking {
+                *place = before - *place;
+            }
+        }
+        if let Some(new) = self.places.get_mut(self.known..elements.len()) {
+            crate::math::fill(new, MicroCoulomb::ZERO);
+        }
+        let (mut elastic, mut slip) = (MicroCoulomb::ZERO, 0);
+        for (place, element) in self.places.iter_mut().zip(elements) {
+            // New limits may be narrower, or wider apart than the order of slipping allows.
+            let room = element.slip.to_bits().wrapping_sub(slip);
+            slip = element.slip.to_bits();
+            // Sums of two numbers within +-500 uC do not wrap.
+            let low = MicroCoulomb::from_bits(elastic.to_bits().wrapping_sub(room));
+            let high = MicroCoulomb::from_bits(elastic.to_bits().wrapping_add(room));
+            elastic = (*place).limit(low, high);
+            *place = elastic;
+        }
+        (self.slipping, self.known) = (elements.len(), elements.len());
+    }
+
+    /// Second half: the line is that of the new elements. Returns by how much the voltage is another one at the charge of
+    /// [`HysteresisState::carry`].
+    #[cold]
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
+    pub fn take_over(&mut self, elements: &[Maxwell]) -> Volt {
+        let Some([_, charge]) = self.carried.take() else { return Volt::ZERO };
+        let old = (self.slope * charge + self.offset).narrow();
+        let (mut slope, mut sum) = (Gain::ZERO, Wide::ZERO);
+        for (place, element) in self.places.iter_mut().zip(elements) {
+            slope = slope + element.elastance;
+            sum = sum + element.elastance * *place;
+            *place = charge - *place;
+        }
+        // All elastances times their origins, which are the charge less what is elastic.
+        self.all_stick(elements, charge, slope, sum - slope * charge);
+        (self.slope * charge + self.offset).narrow() - old
+    }
+
+    /// All elements stick, and `places` are their origins; those that may not slip again.
+    #[cold]
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
+    fn all_stick(
         &mut self,
         elements: &[Maxwell],
         charge: MicroCoulomb,
-    ) -> (Gain<MicroCoulomb, Volt>, Wide<Volt>) {
-        let before = self.charge();
-        let (mut slope, mut offset) = (Gain::ZERO, Wide::ZERO);
-        let (mut elastic, mut slip) = (MicroCoulomb::ZERO, MicroCoulomb::ZERO);
-        for (i, (place, element)) in self.places.iter_mut().zip(elements).enumerate() {
-            let stood = if i >= self.known {
-                MicroCoulomb::ZERO
-            } else if i < self.slipping {
-                *place
-            } else {
-                before - *place
-            };
-            // New limits may be narrower, or wider apart than the order of slipping allows.
-            let room = element.slip - slip;
-            elastic = stood.limit(elastic - room, elastic + room);
-            slip = element.slip;
-            *place = charge - elastic;
-            slope = slope + element.elastance;
-            offset = offset - element.elastance * *place;
-        }
-        (slope, offset)
+        slope: Gain<MicroCoulomb, Volt>,
+        offset: Wide<Volt>,
+    ) {
+        (self.slope, self.stiffest, self.offset) = (slope, slope, offset);
+        self.last = self.mirrored(charge);
+        self.slipping = 0;
+        self.known = elements.len();
+        self.slip(elements);
     }
 
     /// Moves the charge and returns the hysteresis voltage.
     #[inline(always)]
     pub fn step(&mut self, elements: &[Maxwell], charge: MicroCoulomb) -> Volt {
-        let mirrored = mirror(charge, self.falling);
+        let mirrored = self.mirrored(charge);
         if mirrored < self.last || mirrored > self.end {
             self.follow(elements, charge);
         } else {
@@ -143,20 +196,18 @@ impl HysteresisState {
         (self.slope * charge + self.offset).narrow()
     }
 
-    #[inline(always)]
-    const fn charge(&self) -> MicroCoulomb {
-        MicroCoulomb::from_bits(mirror(MicroCoulomb::from_bits(self.last), self.falling))
-    }
-
     /// The charge turns, or passes the point where an element slips.
     #[cold]
     #[inline(never)]
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
     fn follow(&mut self, elements: &[Maxwell], charge: MicroCoulomb) {
-        if mirror(charge, self.falling) < self.last {
+        if self.carried.is_some() {
+            return;
+        }
+        if self.mirrored(charge) < self.last {
             self.turn();
         }
-        self.last = mirror(charge, self.falling);
+        self.last = self.mirrored(charge);
         self.slip(elements);
     }
 
@@ -166,7 +217,7 @@ impl HysteresisState {
     /// times its origin, which is the charge less that. Together: the elastances that the slope gets back, times the charge.
     #[inline(always)]
     fn turn(&mut self) {
-        let charge = self.charge();
+        let charge = self.unmirrored(self.last);
         self.falling = !self.falling;
         for place in self.places.iter_mut().take(self.slipping) {
             *place = charge - *place;
@@ -179,23 +230,27 @@ impl HysteresisState {
     /// All elements slip whose time has come; finds the charge at which the next one does.
     #[inline(always)]
     fn slip(&mut self, elements: &[Maxwell]) {
-        let (mut slope, mut offset, mut i) = (self.slope, self.offset, self.slipping);
-        let mut end = i32::MAX;
-        while let (Some(place), Some(element)) = (self.places.get_mut(i), elements.get(i)) {
-            let reach = if self.falling { -element.slip } else { element.slip };
-            let at = *place + reach;
-            end = mirror(at, self.falling);
-            if self.last <= end {
+        let (Some(places), Some(elements)) =
+            (self.places.get_mut(self.slipping..), elements.get(self.slipping..))
+        else {
+            return;
+        };
+        let (mut slope, mut offset, mut slipping) = (self.slope, self.offset, self.slipping);
+        let (last, falling, mut end) = (self.last, self.falling, i32::MAX);
+        for (place, element) in places.iter_mut().zip(elements) {
+            let at = (place.to_bits() ^ falling).saturating_add(element.slip.to_bits());
+            if last <= at {
+                end = at;
                 break;
             }
-            *place = reach;
-            slope = slope - element.elastance;
+            let at = MicroCoulomb::from_bits(at ^ falling);
             // Its origin no longer counts, its elastic charge does: together the charge at which it slips.
+            *place = at - *place;
+            slope = slope - element.elastance;
             offset = offset + element.elastance * at;
-            end = i32::MAX;
-            i += 1;
+            slipping += 1;
         }
-        (self.slope, self.offset, self.slipping, self.end) = (slope, offset, i, end);
+        (self.slope, self.offset, self.slipping, self.end) = (slope, offset, slipping, end);
     }
 }
 
@@ -244,7 +299,7 @@ mod tests {
             let mut plain =
                 Plain { elastic: std::vec![MicroCoulomb::ZERO; 16], charge: MicroCoulomb::ZERO };
             let mut state = HysteresisState::RELAXED;
-            state.rebase(&elements, MicroCoulomb::ZERO);
+            state.relax(&elements, MicroCoulomb::ZERO);
             let mut charge = 0i32;
             for n in 0..5_000 {
                 // Strides from a standstill to jumps over all elements.
@@ -268,12 +323,17 @@ mod tests {
             ([element(1.0), element(2.0), element(4.0)], [element(1.0), element(3.0)]);
         let mut state = HysteresisState::RELAXED;
         let at = MicroCoulomb::from_f32;
-        state.rebase(&three, at(0.0));
+        state.relax(&three, at(0.0));
         let before = state.step(&three, at(3.0)).to_f64();
         assert!((before - 0.03 * (1.0 + 2.0 + 3.0)).abs() < 1e-5);
         // Another charge for the same position, one element less.
-        state.rebase(&two, at(5.0));
+        state.carry(at(5.0));
+        let carried = state.step(&three, at(5.0)).to_f64();
+        assert!((carried - before).abs() < 1e-5, "{carried}");
+        state.fit(&two);
+        let moved = state.take_over(&two).to_f64();
         let after = state.step(&two, at(5.0)).to_f64();
+        assert!((after - before - moved).abs() < 1e-5, "{moved}");
         assert!((after - 0.03 * (1.0 + 2.0)).abs() < 1e-5, "{after}");
         let on = state.step(&two, at(5.5)).to_f64();
         assert!((on - 0.03 * (1.0 + 2.5)).abs() < 1e-5, "{on}");

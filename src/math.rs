@@ -10,8 +10,15 @@ pub const ONE_Q30: i32 = 1 << 30;
 
 /// Upper 32 bits of a product: one `smmul` on the Cortex-M4.
 #[inline(always)]
-const fn high(a: i32, b: i32) -> i32 {
+pub(crate) const fn high(a: i32, b: i32) -> i32 {
     ((a as i64 * b as i64) >> 32) as i32
+}
+
+/// `sum` and the upper 32 bits of a product, rounded: one `smmlar` on the Cortex-M4.
+#[inline(always)]
+pub(crate) const fn add_high(sum: i32, a: i32, b: i32) -> i32 {
+    let wide = ((sum as i64) << 32).wrapping_add(a as i64 * b as i64).wrapping_add(1 << 31);
+    (wide >> 32) as i32
 }
 
 /// Product of two Q1.30 numbers, truncated.
@@ -27,8 +34,13 @@ pub const fn mul_q30(a: i32, b: i32) -> i32 {
 pub const fn sin_q30(phase: u32) -> i32 {
     // Fold to +-quarter turn; as i32, a turn is 2^32 and a quarter 2^30. Beyond a quarter the two upper bits differ.
     let turn = phase as i32;
-    let u = if turn ^ (turn << 1) < 0 { i32::MIN.wrapping_sub(turn) } else { turn };
-    let u2 = mul_q30(u, u);
+    sin_quarter_q30(if turn ^ (turn << 1) < 0 { i32::MIN.wrapping_sub(turn) } else { turn })
+}
+
+/// As [`sin_q30`], for a phase within a quarter turn of 0.
+#[inline(always)]
+pub(crate) const fn sin_quarter_q30(u: i32) -> i32 {
+    let u2 = high(u, u) << 2;
     // Coefficients of sin(pi/2 u) in Q1.30 against u2 in Q30: high(c, u2) has 28 bits; keep Q30 by << 2.
     let mut p = SIN_C9;
     p = SIN_C7 + (high(p, u2) << 2);

@@ -146,6 +146,12 @@ impl Trajectory {
         self.still == ASLEEP
     }
 
+    /// Nothing is asleep for the next [`STILL`] ticks.
+    #[inline(always)]
+    pub fn wake(&mut self) {
+        self.still = 0;
+    }
+
     /// One tick: returns the motion at n + 2.
     #[inline(always)]
     pub fn step(&mut self, table: Option<&Table>, low: Um, high: Um) -> Motion {

@@ -189,6 +189,21 @@ impl Axis {
         self.record(config, out);
     }
 
+    /// The slip elements of a new model of the stack take over, in two ticks. The drive does not move: what they change fades with the
+    /// step that the new configuration would have made.
+    #[cold]
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
+    pub(super) fn take_over(&mut self, config: &AxisConfig, is_first: bool) {
+        // An axis at rest has to find out what its drive is now.
+        self.trajectory.wake();
+        if is_first {
+            config.feedforward.fit(&mut self.feedforward);
+        } else {
+            self.bump = self.bump - config.feedforward.take_over(&mut self.feedforward);
+        }
+    }
+
     /// The loop is open: back to the safe voltage. Whether the drive is there.
     #[inline(never)]
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]

@@ -1,7 +1,7 @@
 //! The waveforms: a 32-bit phase in, Q1.30 out. Integers only, so that host and board agree to the bit.
 
 use crate::MAX_TONES;
-use crate::math::{ONE_Q30, sin_q30};
+use crate::math::{ONE_Q30, add_high, cos_q30, high, sin_q30, sin_quarter_q30};
 
 /// Q1.30 with a little room: waveforms stay within +-1.
 #[inline(always)]
@@ -44,9 +44,8 @@ pub(super) const fn staircase_q30(phase: u32, steps: i32, steepness: i32) -> i32
     clip_q30(((fraction as i64) << 15) - ONE_Q30 as i64)
 }
 
-/// Phase of the first tone: a hash of the seed.
-#[inline(always)]
-const fn first_phase(seed: u32) -> u32 {
+/// The signs of the tones, one a bit: a hash of the seed.
+pub(super) const fn multisine_signs(seed: u32) -> u32 {
     // Finaliser of MurmurHash3 (public domain, A. Appleby).
     let mut h = seed;
     h = (h ^ (h >> 16)).wrapping_mul(0x85eb_ca6b);
@@ -54,33 +53,54 @@ const fn first_phase(seed: u32) -> u32 {
     h ^ (h >> 16)
 }
 
-/// Phase of the next tone: one multiplication, no table (linear congruential generator; D. Knuth and H. Lewis).
-#[inline(always)]
-const fn next_phase(phase: u32) -> u32 {
-    phase.wrapping_mul(1_664_525).wrapping_add(1_013_904_223)
-}
+/// One tone in the recurrence below.
+const TONE: i32 = 1 << 20;
 
-/// Sum of the tones over 16, Q1.30.
+/// Sum of the tones over 16, Q1.30: of s_k sin(a + k x) for k below `tones`, a = `first` phases, x = `stride` phases, s_k = 1 or -1 by
+/// the bits of `signs`. Error below 1e-6 of all 16: 10 pm at 10 um.
+///
+/// Clenshaw's recurrence, b_k = s_k + 2 cos(x) b_(k+1) - b_(k+2), takes one multiplication a tone instead of a sine. Near x = 0, where it
+/// would cancel, Reinsch's form of it does not: the differences d_k = b_k - b_(k+1) = d_(k+1) + s_k - 4 sin^2(x/2) b_(k+1). Near
+/// half a turn x is taken half a turn back, which turns every other sign. All of it follows from the phase alone: nothing drifts. (J. Stoer and R.
+/// Bulirsch, "Introduction to Numerical Analysis", 2.3.2.)
 #[inline(always)]
-pub(super) fn multisine_sum(phase: u32, first: u16, stride: u16, tones: u8, seed: u32) -> i32 {
-    let mut sum = 0i32;
-    let mut tone = phase.wrapping_mul(first as u32);
-    let distance = phase.wrapping_mul(stride as u32);
-    let mut offset = first_phase(seed);
-    for _ in 0..if tones > MAX_TONES { MAX_TONES } else { tones } {
-        sum = sum.wrapping_add(sin_q30(tone.wrapping_add(offset)) >> 4);
-        tone = tone.wrapping_add(distance);
-        offset = next_phase(offset);
+pub(super) fn multisine_sum(phase: u32, first: u16, stride: u16, tones: u8, signs: u32) -> i32 {
+    let a = phase.wrapping_mul(first as u32);
+    let mut x = phase.wrapping_mul(stride as u32) as i32;
+    let mut signs = signs;
+    if x ^ (x << 1) < 0 {
+        x ^= i32::MIN;
+        signs ^= 0xaaaa_aaaa;
     }
-    sum
+    let half = sin_quarter_q30(x >> 1);
+    // -4 sin^2(x/2), -2 to 0: Q2.29, from the upper word of Q4.60.
+    let bend = -(high(half, half) << 3);
+    // |b| is at most 1 + 2 + .. + 16 = 136, |d| below 16 / cos(x/2) < 23. Differences have 20 fraction bits, sums 23: what the upper
+    // word of a product with `bend` has.
+    let (mut b, mut d) = (0i32, 0i32);
+    let tones = if tones > MAX_TONES { MAX_TONES } else { tones };
+    // The last tone's sign into the uppermost bit. Tones that it is set for are 1 - 2.
+    let mut signs = signs << (32 - tones as u32 & 31);
+    for _ in 0..tones {
+        let tone = TONE.wrapping_sub((signs >> 10) as i32 & (2 * TONE));
+        d = add_high(d, bend, b).wrapping_add(tone);
+        b = b.wrapping_add(d << 3);
+        signs <<= 1;
+    }
+    // sum = b_0 sin(a) - b_1 sin(a - x) = 2 b_0 sin(x/2) cos(a - x/2) + d_0 sin(a - x).
+    let back = a.wrapping_sub(x as u32);
+    let ahead = a.wrapping_sub((x >> 1) as u32);
+    // |2 b sin(x/2)| is as small as |d|: both in Q5.26 here, and their sum, at most 16, in Q5.24.
+    let swing = high(b, half) << 6;
+    high(swing, cos_q30(ahead)).wrapping_add(high(d << 6, sin_q30(back))) << 2
 }
 
 /// Q6.25 factor that brings the largest value over a period to 1 (less a thousandth for what lies between the samples).
-pub(super) fn multisine_scale(first: u16, stride: u16, tones: u8, seed: u32, highest: u32) -> i32 {
+pub(super) fn multisine_scale(first: u16, stride: u16, tones: u8, signs: u32, highest: u32) -> i32 {
     let samples = 16 * highest;
     let step = u32::MAX / samples;
     let peak = (0..samples)
-        .map(|n| multisine_sum(n.wrapping_mul(step), first, stride, tones, seed).unsigned_abs())
+        .map(|n| multisine_sum(n.wrapping_mul(step), first, stride, tones, signs).unsigned_abs())
         .max()
         .unwrap_or(0)
         .max(1 << 20);
