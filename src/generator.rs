@@ -269,7 +269,15 @@ impl Generator {
             GeneratorSettings::Multisine(m) => {
                 check.range("tones", f32::from(m.tones), 1.0, f32::from(MAX_TONES), "tones")?;
                 check.range("first", f32::from(m.first), 1.0, 4_096.0, "multiples of base_hz")?;
-                check.range("stride", f32::from(m.stride), 0.0, 4_096.0, "multiples of base_hz")?;
+                // Tones at one frequency may cancel.
+                let closest = if m.tones > 1 { 1.0 } else { 0.0 };
+                check.range(
+                    "stride",
+                    f32::from(m.stride),
+                    closest,
+                    4_096.0,
+                    "multiples of base_hz",
+                )?;
                 let highest = u32::from(m.first) + u32::from(m.stride) * u32::from(m.tones - 1);
                 check.range(
                     "first",
