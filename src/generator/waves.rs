@@ -80,7 +80,7 @@ pub(super) fn multisine_sum(phase: u32, first: u16, stride: u16, tones: u8, sign
     let (mut b, mut d) = (0i32, 0i32);
     let tones = if tones > MAX_TONES { MAX_TONES } else { tones };
     // The last tone's sign into the uppermost bit. Tones that it is set for are 1 - 2.
-    let mut signs = signs << (32 - tones as u32 & 31);
+    let mut signs = signs << ((32 - tones as u32) & 31);
     for _ in 0..tones {
         let tone = TONE.wrapping_sub((signs >> 10) as i32 & (2 * TONE));
         d = add_high(d, bend, b).wrapping_add(tone);
