@@ -160,17 +160,26 @@ impl Gains {
                     .hint_text("settings.toml")
                     .desired_width(150.0),
             );
-            if ui.button("Compare").clicked() {
+            let [compare, read, write] =
+                ["Compare", "Load", "Write"].map(|name| ui.button(name).clicked());
+            if self.file.trim().is_empty() {
+                if compare || read || write {
+                    let error = "type the name of a settings file first, like settings.toml";
+                    self.comparison = Some(Err(error.into()));
+                }
+                return;
+            }
+            if compare {
                 self.comparison =
                     Some(load(Path::new(&self.file)).map(|file| differences(in_effect, &file)));
             }
-            if ui.button("Load").clicked() {
+            if read {
                 match load(Path::new(&self.file)) {
                     Ok(settings) => *edited = settings,
                     Err(error) => self.comparison = Some(Err(error)),
                 }
             }
-            if ui.button("Write").clicked() {
+            if write {
                 let text = toml::to_string_pretty(in_effect).map_err(|e| e.to_string());
                 let written =
                     text.and_then(|t| std::fs::write(&self.file, t).map_err(|e| e.to_string()));
