@@ -9,6 +9,7 @@
 pub mod accept;
 pub mod ambiguity;
 mod causes;
+pub mod control;
 pub mod diagnose;
 pub mod diagnosis;
 pub mod energy;
@@ -35,6 +36,7 @@ mod slow;
 pub mod split;
 mod trade;
 
+pub use control::{ForControl, for_control};
 pub use diagnose::{Outcome, diagnose};
 pub use diagnosis::Diagnosis;
 pub use error::Error;
