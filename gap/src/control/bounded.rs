@@ -2,8 +2,9 @@
 
 use nalgebra::{DMatrix, DVector};
 
-/// Share of its own sum of squares that is added to each unknown's, so that columns that are alike share what they explain.
-const RIDGE: f64 = 1.0e-9;
+/// Share of its own sum of squares that is added to each unknown's, free and bounded: columns that are alike share what they explain,
+/// and what a bounded one and a free one explain alike goes to the free one.
+const RIDGE: [f64; 2] = [1.0e-9, 1.0e-7];
 
 /// Unknowns that solve `normal * x = right`, those for which `bounded` says so not negative.
 ///
@@ -21,7 +22,8 @@ pub(super) fn non_negative(
     loop {
         let n = used.len();
         let a = DMatrix::from_fn(n, n, |i, j| {
-            let ridge = if i == j { RIDGE * normal[(used[i], used[i])] } else { 0.0 };
+            let share = RIDGE[usize::from(bounded(used[i]))];
+            let ridge = if i == j { share * normal[(used[i], used[i])] } else { 0.0 };
             normal[(used[i], used[j])] + ridge
         });
         let b = DVector::from_fn(n, |i, _| right[used[i]]);

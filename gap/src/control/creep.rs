@@ -18,6 +18,8 @@ const HELD: f64 = 0.002;
 const STEP: f64 = 0.1;
 /// ... within this time, s.
 const STEP_S: f64 = 0.5;
+/// Stretches that follow on each other within this time have nothing in between, s.
+const SAME_S: f64 = 0.02;
 /// The chain is driven by what is left without creep: again and again with the creep found.
 const ROUNDS: usize = 6;
 
@@ -29,12 +31,20 @@ pub(super) struct Chain {
 }
 
 impl Chain {
-    /// For growth by `per_decade`, at rest for ever at `um`.
-    pub fn new(per_decade: f64, um: f64) -> Self {
-        let elements: Vec<f64> =
-            tuning::log_creep(1.0).map(|e| f64::from(e.time_constant_s)).collect();
-        let elastic = um / (1.0 + per_decade * elements.len() as f64);
-        Self { per_decade, strains: elements.into_iter().map(|tau| (tau, elastic)).collect() }
+    /// For growth by `per_decade`, with these strains (um) to start from.
+    pub fn new(per_decade: f64, strains_um: &[f64]) -> Self {
+        let times = tuning::log_creep(1.0).map(|e| f64::from(e.time_constant_s));
+        Self { per_decade, strains: times.zip(strains_um.iter().copied()).collect() }
+    }
+
+    /// The strains, um of elastic motion, after the chain was at a position for ever.
+    pub fn settled_um(um: f64) -> Vec<f64> {
+        tuning::log_creep(1.0).map(|_| um).collect()
+    }
+
+    /// The strains, um of elastic motion.
+    pub fn strains_um(&self) -> Vec<f64> {
+        self.strains.iter().map(|(_, z)| *z).collect()
     }
 
     /// Sum of the strains, before the gain.
@@ -49,6 +59,31 @@ impl Chain {
             *z -= (-lasts_s / *tau_s).exp_m1() * (elastic - *z);
         }
         elastic
+    }
+}
+
+/// Let the strains run on from stretch to stretch on the session's clock; in between the drives are at 0 V. Where the clock does
+/// not tell of a before, the first position was held for ever.
+pub(super) fn remember(series: &mut [Series]) {
+    let mut before: Option<(Chain, f64)> = None;
+    for series in series {
+        let (_, position, row_s) = series.rows();
+        let Some(&first) = position.first() else { continue };
+        let mut chain = match before.take() {
+            Some((mut chain, end_s)) if series.start_s >= end_s - SAME_S => {
+                if series.start_s > end_s + SAME_S {
+                    chain.elastic(0.0, series.start_s - end_s);
+                }
+                chain
+            }
+            _ => Chain::new(0.0, &Chain::settled_um(first)),
+        };
+        series.strains_um = chain.strains_um();
+        position.iter().for_each(|&um| {
+            chain.elastic(um, row_s);
+        });
+        let length_s = series.drive_v.len() as f64 / series.rate_hz;
+        before = Some((chain, series.start_s + length_s));
     }
 }
 
@@ -72,15 +107,15 @@ pub(super) fn creep(series: &[Series], span_v: f64) -> Option<Creep> {
             let held_s = (to - from) as f64 * row_s;
             if held_s > longest {
                 longest = held_s;
-                best = Some((position.clone(), row_s, from, to));
+                best = Some((position.clone(), &series.strains_um, row_s, from, to));
             }
         }
     }
-    let (position, row_s, from, to) = best?;
+    let (position, strains_um, row_s, from, to) = best?;
     let start = from + (FROM_S / row_s).round() as usize;
     let (mut per_decade, mut sd) = (0.0, 0.0);
     for _ in 0..ROUNDS {
-        let mut chain = Chain::new(per_decade, position[0]);
+        let mut chain = Chain::new(per_decade, strains_um);
         let strains: Vec<f64> = position[..to]
             .iter()
             .map(|x| {

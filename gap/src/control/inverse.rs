@@ -17,16 +17,19 @@ use nalgebra::{DMatrix, DVector};
 
 use super::bounded::non_negative;
 use super::creep::Chain;
-use super::series::Series;
+use super::series::{Series, Step};
 
-/// Largest threshold over the span of the motion, for memory that is known from the start and for memory that is not.
+/// Largest threshold over the span of the slow motion, for memory that is known from the start and for memory that is not.
 const REACH: [f64; 2] = [0.82, 0.5];
 /// Thresholds are crowded towards small ones, where loops have their sharp corners, with this power.
 const CROWDING: f64 = 1.6;
 /// Widening of a motion that counts, over its span.
 const WIDENS: f64 = 0.005;
-/// New ground is understood if its misfit is no more than this over that of the rest.
-const UNDERSTOOD: f64 = 2.0;
+/// A stack that was never driven is at this share of the drive's span from 0 V at most.
+const AT_ZERO: f64 = 0.02;
+/// New ground is understood if its misfit is no more than this over that of the rest: a memory that is not there costs tens of
+/// times a misfit.
+const UNDERSTOOD: f64 = 4.0;
 /// Share of the rows of a recording that is fitted before the rest is predicted.
 const FITTED: f64 = 2.0 / 3.0;
 /// Least slow motion, s ...
@@ -45,7 +48,7 @@ struct Row {
     widening: bool,
     last_third: bool,
     lasts_s: f64,
-    /// Position, then one stop a threshold, um.
+    /// Position without creep, one stop a threshold, position with creep, um.
     x: Vec<f64>,
     v: f64,
 }
@@ -79,11 +82,11 @@ pub struct Inverse {
 
 /// Fit; the error says what is missing.
 pub(super) fn fit(series: &[Series], per_decade: f64, span_v: f64) -> Result<Inverse, String> {
-    let motions: Vec<Vec<(f64, f64, f64, bool)>> =
-        series.iter().map(|s| elastic(s, per_decade)).collect();
-    let spans: Vec<f64> = motions.iter().map(|m| span(m.iter().map(|step| step.0))).collect();
-    let span_um = spans.iter().copied().fold(0.0, f64::max);
-    let slow_v = span(motions.iter().flatten().filter(|s| s.3).map(|s| s.1));
+    let motions: Vec<Vec<Moved>> = series.iter().map(|s| elastic(s, per_decade)).collect();
+    let spans: Vec<f64> = motions.iter().map(|m| span(m.iter().map(|s| s.um))).collect();
+    let slow_um = |m: &Vec<Moved>| span(m.iter().filter(|s| s.step.scored).map(|s| s.um));
+    let span_um = motions.iter().map(slow_um).fold(0.0, f64::max);
+    let slow_v = span(motions.iter().flatten().filter(|s| s.step.scored).map(|s| s.step.v));
     if slow_v.is_nan() || slow_v < LEAST_SPAN * span_v {
         return Err(format!(
             "no slow motion: expected at least a second in which the drive spans {:.0} V with nothing above 20 Hz in it, \
@@ -96,7 +99,8 @@ pub(super) fn fit(series: &[Series], per_decade: f64, span_v: f64) -> Result<Inv
     // are told apart.
     let mut known = vec![false; series.len()];
     for row in rows(&motions, &spans, &vec![true; series.len()], &[]) {
-        known[row.stretch] |= row.widening;
+        let starts_v = motions[row.stretch].first().map_or(f64::MAX, |s| s.step.v);
+        known[row.stretch] |= row.widening && starts_v.abs() <= AT_ZERO * span_v;
     }
     loop {
         let mut limits = thresholds(REACH[0] * span_um);
@@ -134,11 +138,16 @@ fn root_mean_square(rows: &[Row], left: &[f64], keep: &dyn Fn(&Row) -> bool) -> 
     if n > 0.0 { f64::sqrt(sum / n) } else { 0.0 }
 }
 
-/// Steps of a stretch: elastic position (um), output (V), time (s), scored.
-fn elastic(series: &Series, per_decade: f64) -> Vec<(f64, f64, f64, bool)> {
-    let steps = series.steps();
-    let mut chain = Chain::new(per_decade, steps.first().map_or(0.0, |s| s.um));
-    steps.iter().map(|s| (chain.elastic(s.um, s.lasts_s), s.v, s.lasts_s, s.scored)).collect()
+/// A step, and the position without creep.
+struct Moved {
+    step: Step,
+    um: f64,
+}
+
+fn elastic(series: &Series, per_decade: f64) -> Vec<Moved> {
+    let mut chain = Chain::new(per_decade, &series.strains_um);
+    let steps = series.steps().into_iter();
+    steps.map(|step| Moved { um: chain.elastic(step.um, step.lasts_s), step }).collect()
 }
 
 fn span(x: impl Iterator<Item = f64>) -> f64 {
@@ -151,23 +160,18 @@ fn thresholds(largest_um: f64) -> Vec<f64> {
     (1..=MAX_MAXWELL).map(|j| largest_um * (j as f64 / MAX_MAXWELL as f64).powf(CROWDING)).collect()
 }
 
-fn rows(
-    motions: &[Vec<(f64, f64, f64, bool)>],
-    spans: &[f64],
-    known: &[bool],
-    thresholds: &[f64],
-) -> Vec<Row> {
+fn rows(motions: &[Vec<Moved>], spans: &[f64], known: &[bool], thresholds: &[f64]) -> Vec<Row> {
     let mut all = Vec::new();
     let mut group = 0;
     for (stretch, motion) in motions.iter().enumerate() {
-        let Some(&(start, ..)) = motion.first() else { continue };
+        let Some(start) = motion.first().map(|s| s.um) else { continue };
         let first = all.len();
         let slack = WIDENS * spans[stretch];
         let (mut low, mut high, mut previous) = (start, start, start);
         // A stack that was never driven is at zero with nothing in its stops.
         let mut stops = vec![0.0; thresholds.len()];
         let mut was_widening = false;
-        for &(um, v, lasts_s, scored) in motion {
+        for &Moved { step, um } in motion {
             for (stop, r) in stops.iter_mut().zip(thresholds) {
                 *stop = f64::clamp(*stop + um - previous, -r, *r);
             }
@@ -179,8 +183,10 @@ fn rows(
                 group += 1;
             }
             was_widening = widening;
-            if scored && (known[stretch] || !widening) {
-                let x = std::iter::once(um).chain(stops.iter().copied()).collect();
+            if step.scored && (known[stretch] || !widening) {
+                let x: Vec<f64> = std::iter::once(um).chain(stops.iter().copied()).collect();
+                let x = x.into_iter().chain([step.um]).collect();
+                let (v, lasts_s) = (step.v, step.lasts_s);
                 all.push(Row { group, stretch, widening, last_third: false, lasts_s, x, v });
             }
         }
@@ -217,7 +223,10 @@ fn means(rows: &[Row], keep: impl Fn(&Row) -> bool) -> Vec<(Vec<f64>, f64)> {
 /// V/um of the spring and of every stop, each group of rows having a constant of its own.
 fn solve(rows: &[Row], keep: impl Fn(&Row) -> bool + Copy) -> DVector<f64> {
     let (normal, right) = normal(rows, keep);
-    non_negative(&normal, &right, |column| column > 0)
+    let unknowns = right.len() - 1;
+    let normal = normal.view((0, 0), (unknowns, unknowns)).into_owned();
+    let solution = non_negative(&normal, &right.rows(0, unknowns).into_owned(), |i| i > 0);
+    solution.push(0.0)
 }
 
 fn normal(rows: &[Row], keep: impl Fn(&Row) -> bool + Copy) -> (DMatrix<f64>, DVector<f64>) {
@@ -265,7 +274,8 @@ fn inverse(rows: &[Row], thresholds: &[f64], from_depoled: bool) -> Inverse {
     let line = |keep: &dyn Fn(&Row) -> bool| {
         let (normal, right) = normal(rows, keep);
         let mut solution = DVector::zeros(right.len());
-        solution[0] = right[0] / normal[(0, 0)];
+        let with_creep = right.len() - 1;
+        solution[with_creep] = right[with_creep] / normal[(with_creep, with_creep)];
         solution
     };
     let (model, straight) = (solve(rows, every), line(&every));
@@ -284,7 +294,7 @@ fn inverse(rows: &[Row], thresholds: &[f64], from_depoled: bool) -> Inverse {
             .filter(|(_, k)| *k > NOTHING)
             .collect(),
         constant_v: at_zero(&model),
-        linear_v_per_um: straight[0],
+        linear_v_per_um: straight[straight.len() - 1],
         linear_v: at_zero(&straight),
         linear_misfit_v: rms(residuals(rows, &straight, every), &every),
         misfit_v: rms(residuals(rows, &model, every), &every),

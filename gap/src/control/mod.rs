@@ -46,6 +46,8 @@ const REPLACED: [&str; 11] = [
 ];
 /// A drive that spans less than this share of the amplifier's range is none.
 const DRIVEN: f64 = 1.0e-3;
+/// Why nothing is known about an axis at rest.
+const NOT_DRIVEN: &str = "no recording drives it and measures its position";
 /// Creep counts from this many standard errors.
 const SIGNIFICANT: f64 = 2.0;
 
@@ -99,7 +101,7 @@ pub fn for_control(rig: &Rig, session: &Session) -> Result<ForControl, Error> {
         .collect();
     let mut identified = rig.clone();
     let mut axes = Vec::new();
-    let mut first_error = None;
+    let (mut first_error, mut not_driven) = (None, true);
     for (number, (found, said)) in found.into_iter().enumerate() {
         match found {
             Ok(found) => {
@@ -109,7 +111,11 @@ pub fn for_control(rig: &Rig, session: &Session) -> Result<ForControl, Error> {
             }
             Err(missing) => {
                 notes.push(format!("axis {}: all as it was: {missing}", number + 1));
-                first_error.get_or_insert(format!("axis {}: {missing}", number + 1));
+                // What a driven axis lacks says more than that another one is not driven.
+                if first_error.is_none() || (not_driven && missing != NOT_DRIVEN) {
+                    not_driven = missing == NOT_DRIVEN;
+                    first_error = Some(format!("axis {}: {missing}", number + 1));
+                }
                 axes.push(None);
             }
         }
@@ -138,10 +144,11 @@ fn identify_axis(
         .fold((f64::MAX, f64::MIN), |(l, h), &v| (l.min(v), h.max(v)));
     let span_v = high - low;
     if span_v.is_nan() || span_v <= DRIVEN * (axis.amplifier.max_v - axis.amplifier.min_v) {
-        return Err("no recording drives it and measures its position".into());
+        return Err(NOT_DRIVEN.into());
     }
-    let series: Vec<Series> =
+    let mut series: Vec<Series> =
         tracks.iter().flat_map(|track| Series::of(track, number, axis, span_v)).collect();
+    creep::remember(&mut series);
     let creep = creep::creep(&series, span_v);
     match creep {
         None => notes.push(

@@ -29,6 +29,10 @@ const FAST_S: f64 = 0.4;
 /// One axis, from one missing stretch of samples to the next.
 pub(super) struct Series {
     pub rate_hz: f64,
+    /// First sample on the session's clock, s.
+    pub start_s: f64,
+    /// Slow strains at the first sample, um: see `creep`.
+    pub strains_um: Vec<f64>,
     /// Period of the excitation, s.
     pub period_s: Option<f64>,
     /// Samples that only settle the memory of the stack.
@@ -88,6 +92,8 @@ impl Series {
                 let block = row * ((BLOCK_S * track.rate_hz / row as f64).round() as usize).max(1);
                 Self {
                     rate_hz: track.rate_hz,
+                    start_s: track.start_s + part.start as f64 / track.rate_hz,
+                    strains_um: Vec::new(),
                     period_s: track.period_s,
                     settle: track.settle.saturating_sub(part.start),
                     held: drive_v.chunks(block).map(|v| span(v) <= HELD * span_v).collect(),
