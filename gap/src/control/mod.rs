@@ -223,7 +223,8 @@ fn write(rig: &mut Rig, number: usize, found: &Findings) -> Result<Vec<String>, 
         let elastance = ((mode.v_per_um - inverse.v_per_um) / c_per_um).max(0.0);
         let newton = transformer * 1.0e6 / (1.0 + elastance * model.piezo.capacitance_f);
         let kg = newton * mode.inertia_v_s2_per_um;
-        let n_s_per_m = newton * mode.damping_v_s_per_um;
+        // Not so the damping: most of what the spectra show is loss in the stack (slip, rate), a voltage and not a force.
+        let n_s_per_m = transformer * 1.0e6 * mode.damping_v_s_per_um;
         model.mechanism.mass_kg = (kg - model.piezo.mass_kg).max(0.0);
         model.mechanism.damping_n_s_per_m = (n_s_per_m - model.piezo.damping_n_s_per_m).max(0.0);
     }
