@@ -122,6 +122,11 @@ pub(super) fn fit(series: &[Series], per_decade: f64, span_v: f64) -> Result<Inv
             ));
         }
         let solution = solve(&rows, |_| true);
+        if solution[0] <= NOTHING * slow_v / span_um {
+            return Err("the position does not rise with the drive in slow motion: expected a gauge with the sign of its drive and \
+                        triangles of several heights, from the whole stroke to a fifth of it"
+                .into());
+        }
         let left = residuals(&rows, &solution, |_| true);
         let rms = |keep: &dyn Fn(&Row) -> bool| root_mean_square(&rows, &left, keep);
         let rest = rms(&|r| !r.widening);
@@ -229,7 +234,7 @@ fn solve(rows: &[Row], keep: impl Fn(&Row) -> bool + Copy) -> DVector<f64> {
     let (normal, right) = normal(rows, keep);
     let unknowns = right.len() - 1;
     let normal = normal.view((0, 0), (unknowns, unknowns)).into_owned();
-    let solution = non_negative(&normal, &right.rows(0, unknowns).into_owned(), |i| i > 0);
+    let solution = non_negative(&normal, &right.rows(0, unknowns).into_owned(), |i| i == 0);
     solution.push(0.0)
 }
 
