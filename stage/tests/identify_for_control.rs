@@ -11,8 +11,8 @@ use host_sim::closed_loop::ClosedLoop;
 use host_sim::{Options, Place, Rig, controller_settings};
 use recording::{Meta, Recording, Session};
 
-/// Rms error (nm) of the true position of an axis (from 0) under feedforward alone: a sine of 1 Hz from 2 to 10 um.
-fn feedforward_error_nm(stage: &Rig, believed: &Rig, axis: usize) -> f64 {
+/// Mean error and rms about it (nm) of the true position of an axis (from 0) under feedforward alone: a sine from 2 to 10 um.
+fn feedforward_error_nm(stage: &Rig, believed: &Rig, axis: usize, hz: f32) -> (f64, f64) {
     let mut settings = controller_settings(believed);
     for axis in &mut settings.axes {
         axis.feedback = Default::default();
@@ -20,14 +20,16 @@ fn feedforward_error_nm(stage: &Rig, believed: &Rig, axis: usize) -> f64 {
     }
     let mut bench = ClosedLoop::new(stage, &settings, Options::default()).unwrap();
     bench.arm().unwrap();
-    bench.start(&[(axis as u8, GeneratorSettings::Sine(Wave::between(2.0, 10.0, 1.0)))]).unwrap();
+    bench.start(&[(axis as u8, GeneratorSettings::Sine(Wave::between(2.0, 10.0, hz)))]).unwrap();
     bench.run(10_000, |_| {});
-    let mut sum = 0.0;
+    let (mut sum, mut squares) = (0.0, 0.0);
     bench.run(20_000, |step| {
-        let error = step.record.axes[axis].reference.to_f64() - step.true_um[axis];
-        sum += error * error;
+        let error = 1.0e3 * (step.record.axes[axis].reference.to_f64() - step.true_um[axis]);
+        sum += error;
+        squares += error * error;
     });
-    (sum / 20_000.0).sqrt() * 1.0e3
+    let mean = sum / 20_000.0;
+    (mean, (squares / 20_000.0 - mean * mean).sqrt())
 }
 
 #[test]
@@ -74,14 +76,17 @@ fn a_probed_stage_is_controlled_better_with_what_was_found() {
     assert!(said.contains("axis 1: all as it was"), "{said}");
     let found = Rig::load(&path("found.toml")).unwrap();
     assert_eq!(found.axes[0], nominal.axes[0]);
-    let before = feedforward_error_nm(&stage, &nominal, axis);
-    let after = feedforward_error_nm(&stage, &found, axis);
-    println!("feedforward alone: {before:.0} nm with the model, {after:.0} nm with what was found");
-    assert!(after < 0.25 * before, "{before:.0} nm -> {after:.0} nm");
-    let v_s2_per_m =
-        |rig: &Rig| rig.axes[axis].mechanism.mass_kg / rig.axes[axis].piezo.transformer_n_per_v;
-    let off = v_s2_per_m(&found) / v_s2_per_m(&stage) - 1.0;
-    assert!(off.abs() < 0.05, "mass over transformer ratio: {:.1} % off", 100.0 * off);
+    // A probed stack has a past that nobody knows, so what it would do on its very first ascent is not in the recordings: the constant
+    // is for the integral. What moves is what is found.
+    for hz in [1.0, 100.0] {
+        let (before_mean, before) = feedforward_error_nm(&stage, &nominal, axis, hz);
+        let (after_mean, after) = feedforward_error_nm(&stage, &found, axis, hz);
+        println!(
+            "feedforward alone at {hz} Hz: {before_mean:.0} nm and {before:.0} nm rms about it with the model, {after_mean:.0} nm and \
+             {after:.0} nm with what was found"
+        );
+        assert!(after < 0.25 * before, "{hz} Hz: {before:.0} nm -> {after:.0} nm");
+    }
 
     // What is written goes on to the other commands.
     let recording = Session::read(path("session"), None).unwrap().recordings[1].path.clone();
