@@ -9,6 +9,7 @@
 pub mod accept;
 pub mod ambiguity;
 mod causes;
+pub mod control;
 mod descent;
 pub mod diagnose;
 pub mod diagnosis;
@@ -36,6 +37,7 @@ mod slow;
 pub mod split;
 mod trade;
 
+pub use control::{ForControl, for_control};
 pub use diagnose::{Outcome, diagnose};
 pub use diagnosis::Diagnosis;
 pub use error::Error;

@@ -1,4 +1,4 @@
-//! `flexstage identify`: refit the nominal parameters of a rig to a session.
+//! `flexstage identify`: refit the nominal parameters of a rig to a session, or identify what a controller needs.
 
 use std::path::{Path, PathBuf};
 
@@ -17,6 +17,10 @@ pub struct Args {
     /// Calibrated rig file to write.
     #[arg(long)]
     out: PathBuf,
+    /// Identify what a controller needs instead, for `tune --model`: gain and slip elements from slow motion, amplifier and
+    /// resonance from fast excitation, creep from a held step.
+    #[arg(long)]
+    for_control: bool,
     /// Sample rate of CSV recordings, Hz.
     #[arg(long)]
     sample_rate: Option<f64>,
@@ -29,6 +33,12 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         bail!("{}: expected a file for the calibrated rig, found a folder", args.out.display());
     }
     match AnyRig::load(&args.rig)? {
+        AnyRig::Platform(_) if args.for_control => {
+            bail!(
+                "{}: --for-control: expected a stage driven by stacks, found a platform",
+                args.rig.display()
+            )
+        }
         AnyRig::Platform(rig) => {
             crate::platform::identify(&rig, &args.session, args.sample_rate, &args.out)
         }
@@ -44,10 +54,24 @@ fn stage(rig: &Rig, args: &Args) -> anyhow::Result<()> {
     let Some(name) = args.out.file_name().and_then(|n| n.to_str()) else {
         bail!("{}: expected a file name for the calibrated rig", args.out.display());
     };
+    let parent = args.out.parent().filter(|p| !p.as_os_str().is_empty());
+    let parent = parent.unwrap_or(Path::new("."));
+    if args.for_control {
+        let found = gap::for_control(rig, &session)?;
+        crate::diagnose::write_all(parent, &[(name, found.rig.to_toml())])?;
+        for (axis, findings) in found.axes.iter().enumerate() {
+            if let Some(findings) = findings {
+                println!("axis {}: {}", axis + 1, findings.line());
+            }
+        }
+        for note in &found.notes {
+            println!("{note}");
+        }
+        return Ok(());
+    }
     let options = gap::Options { progress: true, ..gap::Options::default() };
     let found = gap::identify(rig, &session, &options)?;
-    let parent = args.out.parent().filter(|p| !p.as_os_str().is_empty());
-    crate::diagnose::write_all(parent.unwrap_or(Path::new(".")), &[(name, found.rig.to_toml())])?;
+    crate::diagnose::write_all(parent, &[(name, found.rig.to_toml())])?;
     for line in &found.lines {
         println!("{line}");
     }

@@ -1,17 +1,18 @@
 //! The controller on motions of 10 um, from linear open loop to full control, on a stage as modelled and on one that is not.
 //!
-//! The different stage is known to the controller only through [`identification`](super::identification) of a recording
+//! The different stage is known to the controller only through [`identification`](super::identification) of recordings
 //! of it. All three axes run at once; errors are reference less true position, over whole periods after the start.
 
 use flexstage::generator::{GeneratorSettings, Wave};
 use flexstage::settings::{AxisSettings, FeedbackSettings};
 use flexstage::{AXES, Settings};
+use gap::ForControl;
 use host_sim::closed_loop::ClosedLoop;
 use host_sim::{Options, Rig, controller_settings};
 use report::plot::{Bar, BarPlot, LinePlot, Series};
 
 use super::book::{Book, Outcome};
-use super::identification::{self, Findings};
+use super::identification;
 
 const LOW_UM: f32 = 2.0;
 const HIGH_UM: f32 = 12.0;
@@ -137,40 +138,47 @@ pub fn run(book: &mut Book) -> anyhow::Result<()> {
     let different = Rig::named("different").expect("an embedded rig");
 
     book.note("tracking: identification");
-    let (_, findings) = identification::identify(&nominal, &nominal, 101)?;
-    let lines = |findings: &[Findings]| -> Vec<(f64, f64)> {
-        findings.iter().map(|f| (f.linear_v_per_um, f.linear_v)).collect()
-    };
-    let known = controllers(&nominal, &lines(&findings), false);
-    let (identified, findings) = identification::identify(&different, &nominal, 102)?;
-    let learned = controllers(&identified, &lines(&findings), true);
+    let modelled = identification::identify(&nominal, &nominal, 101)?;
+    let known = controllers(&nominal, &lines(&modelled), false);
+    let found = identification::identify(&different, &nominal, 102)?;
+    let learned = controllers(&found.rig, &lines(&found), true);
 
     let full = table(book, "Tracking, stage as modelled", "nominal", &nominal, &known)?;
     summary(book, "nominal", &full);
-    identification_section(book, &findings);
+    identification_section(book, &found);
     let full = table(book, "Tracking, different stage", "different", &different, &learned)?;
     summary(book, "different", &full);
     Ok(())
 }
 
-fn identification_section(book: &mut Book, findings: &[Findings]) {
+/// Best straight line of each axis: V/um, and V at zero.
+fn lines(found: &ForControl) -> Vec<(f64, f64)> {
+    let axes = found.axes.iter().flatten();
+    axes.map(|f| (f.inverse.linear_v_per_um, f.inverse.linear_v)).collect()
+}
+
+fn identification_section(book: &mut Book, found: &ForControl) {
     book.section("Identification of the different stage");
     book.paragraph(
         "Another stage of the same kind: 64 unevenly spaced slip elements, asymmetric and rate-dependent loops, creep, amplifiers \
          limited to 0.4 A, a lightly damped mode at 1.6 kHz, 4 nm of gauge noise, 12-bit converters. The controller knows of it \
-         what 35 s of open-loop recording tell.",
+         what `flexstage identify --for-control` finds in 33 s of open-loop recordings. Last thirds were not fitted.",
     );
-    let rows: Vec<Vec<String>> = findings
+    let rows: Vec<Vec<String>> = found
+        .axes
         .iter()
         .enumerate()
+        .filter_map(|(axis, found)| Some((axis, found.as_ref()?)))
         .map(|(axis, f)| {
+            let or_dash = |x: Option<String>| x.unwrap_or_else(|| "-".into());
             vec![
                 format!("{}", axis + 1),
-                format!("{:.2}", f.linear_misfit_v),
-                format!("{:.3}", f.misfit_v),
-                format!("{:.0}", f.resonance_hz),
-                format!("{:.3}", f.time_constant_s * 1.0e3),
-                format!("{:.2}", f.creep * 100.0),
+                format!("{:.2}", f.inverse.linear_misfit_v),
+                format!("{:.3}", f.inverse.misfit_v),
+                format!("{:.3}", f.inverse.held_out_v),
+                or_dash(f.lag.mode.map(|m| format!("{:.0}", m.resonance_hz))),
+                or_dash(f.lag.time_constant_s.map(|t| format!("{:.3}", t.value * 1.0e3))),
+                or_dash(f.creep.map(|c| format!("{:.2}", c.per_decade * 100.0))),
             ]
         })
         .collect();
@@ -178,13 +186,17 @@ fn identification_section(book: &mut Book, findings: &[Findings]) {
         &[
             "axis",
             "straight line (V rms)",
-            "16 slip elements (V rms)",
+            "slip elements (V rms)",
+            "last third (V rms)",
             "resonance (Hz)",
             "amplifier (ms)",
             "creep (% a decade)",
         ],
         &rows,
     );
+    for note in &found.notes {
+        book.paragraph(note);
+    }
 }
 
 /// One controller on one motion.
