@@ -10,8 +10,11 @@ use recording::{Entry, Meta, Recording, Session};
 
 const RATE_HZ: f64 = 10_000.0;
 
+/// Name of the recording, seconds, drive (V) at a time (s).
+type Waveform<'a> = (&'a str, f64, &'a dyn Fn(f64) -> f64);
+
 /// Drive a stage through 12-bit converters: a recording a waveform, one after the other on the same stacks.
-fn session(stage: &Rig, waveforms: &[(&str, f64, &dyn Fn(f64) -> f64)]) -> Session {
+fn session(stage: &Rig, waveforms: &[Waveform]) -> Session {
     let mut settings = Settings::default();
     for axis in &mut settings.axes {
         axis.gauge.full_code = 4_095;
