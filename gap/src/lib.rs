@@ -28,6 +28,7 @@ pub mod model;
 mod past;
 pub mod picture;
 pub mod platform;
+mod prune;
 pub mod pyramid;
 mod resonance;
 pub mod scene;

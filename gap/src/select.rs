@@ -10,9 +10,9 @@ use host_sim::rig::Rig;
 use crate::Error;
 use crate::fit::{Effort, Sensitivities, cost, fit};
 use crate::guess::Ranges;
-use crate::knobs::{EffectRef, axes_seen};
+use crate::knobs::EffectRef;
 use crate::model::{Model, Term, knobs_of, start_terms};
-use crate::scene::{Channel, Scene, Stack, Wanted, dot};
+use crate::scene::{Channel, Scene, Stack, Wanted};
 use crate::screen::{Gain, Screen, screen};
 
 /// How many of the promising models a search fits.
@@ -40,17 +40,15 @@ pub const MOST_EFFECTS: usize = 3;
 /// A further effect must remove this share of what the model before it leaves.
 const WORTH_OF_LEFTOVER: f64 = 0.35;
 /// ... and this share of the whole gap (whitened).
-const WORTH_OF_GAP: f64 = 0.01;
+pub(crate) const WORTH_OF_GAP: f64 = 0.01;
 /// ... or nearly all of what is left, if it is less than that.
 const NEARLY_ALL: f64 = 0.7;
 /// ... and this much cost in all, against noise.
-const WORTH_ABSOLUTE: f64 = 60.0;
+pub(crate) const WORTH_ABSOLUTE: f64 = 60.0;
 /// The first effect must remove this share of the gap: three of less never make an explanation.
 const WORTH_OF_FIRST: f64 = 0.05;
 /// Share of the gain that is needed which a partner must promise by linear prediction to be fitted.
 const PROMISE: f64 = 0.3;
-/// A place of an effect must be worth this much cost to stay.
-const WORTH_OF_PLACE: f64 = 40.0;
 
 /// The search: scene, nominal rig, screen of the catalogue and what the whole gap costs.
 pub struct Search<'a> {
@@ -277,7 +275,7 @@ impl<'a> Search<'a> {
                 let top = gains.iter().map(|g| g.gain).fold(0.0, f64::max);
                 let kept: Vec<Gain> = gains
                     .iter()
-                    .filter(|g| g.gain > (0.5 * WORTH_OF_PLACE).max(1.0e-4 * top))
+                    .filter(|g| g.gain > (0.5 * crate::prune::WORTH_OF_PLACE).max(1.0e-4 * top))
                     .cloned()
                     .collect();
                 let total: f64 = kept.iter().map(|g| g.gain).sum();
@@ -407,95 +405,6 @@ impl<'a> Search<'a> {
             .filter(|m| m.terms.len() == size)
             .min_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost))
             .cloned()
-    }
-
-    /// Take out terms and places that the model does not need, and fit the rest again.
-    pub fn prune(&self, model: Model) -> Result<Model, Error> {
-        let mut model = model;
-        loop {
-            let worth = self.worth(&model)?;
-            let noticed = self.noticed(&model)?;
-            let mut kept_terms = Vec::new();
-            let mut start = Vec::new();
-            let mut dropped = false;
-            for (t, term) in model.terms.iter().enumerate() {
-                let total: f64 = worth[t].iter().sum();
-                let top = worth[t].iter().copied().fold(0.0, f64::max);
-                let mut places = Vec::new();
-                for (p, &place) in term.places.iter().enumerate() {
-                    let needed = worth[t][p] > WORTH_OF_PLACE.max(0.004 * top);
-                    let term_needed =
-                        noticed[t] && total > WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap);
-                    if needed && term_needed {
-                        places.push(place);
-                        start.extend_from_slice(model.values(t, p));
-                    } else {
-                        dropped = true;
-                    }
-                }
-                if !places.is_empty() {
-                    kept_terms.push(Term { effect: term.effect, places });
-                }
-            }
-            if !dropped || kept_terms.is_empty() {
-                return Ok(model);
-            }
-            model = self.fit_model(kept_terms, start, Effort { iterations: 4, ..self.effort() })?;
-        }
-    }
-
-    /// Whether each effect takes off what by itself would count as a gap. With long recordings far less is significant: what another
-    /// one's form leaves, which is no cause.
-    fn noticed(&self, model: &Model) -> Result<Vec<bool>, Error> {
-        if model.terms.len() < 2 {
-            return Ok(vec![true; model.terms.len()]);
-        }
-        let rigs = (0..model.terms.len())
-            .map(|t| model.without(self.nominal, t, |_| true))
-            .collect::<Result<Vec<_>, _>>()?;
-        let jobs: Vec<(&Rig, Wanted)> = rigs.iter().map(|rig| (rig, Wanted::ALL)).collect();
-        let stacks = self.scene.residuals(&jobs, self.include)?;
-        let counts = |without| crate::accept::counts(self.scene, without, &model.fit.stack);
-        Ok(stacks.iter().map(counts).collect())
-    }
-
-    /// Rise of the cost when each place of each term is taken out, the rest left as it is.
-    pub fn worth(&self, model: &Model) -> Result<Vec<Vec<f64>>, Error> {
-        let mut worth = Vec::new();
-        for (t, term) in model.terms.iter().enumerate() {
-            let mut row = vec![0.0; term.places.len()];
-            // Places that reach different channels share a simulation.
-            let mut groups: Vec<(Vec<usize>, u32)> = Vec::new();
-            for (p, &place) in term.places.iter().enumerate() {
-                let axes = axes_seen(self.nominal, term.effect, place);
-                match groups.iter_mut().find(|(_, mask)| *mask & axes == 0) {
-                    Some((members, mask)) => {
-                        members.push(p);
-                        *mask |= axes;
-                    }
-                    None => groups.push((vec![p], axes)),
-                }
-            }
-            for (members, axes) in groups {
-                let dropped: Vec<Place> = members.iter().map(|&p| term.places[p]).collect();
-                let rig = model.without(self.nominal, t, |place| dropped.contains(&place))?;
-                let wanted = Wanted { axes, monitors: true };
-                let stack = self.scene.residuals(&[(&rig, wanted)], self.include)?.remove(0);
-                for &p in &members {
-                    let mask = axes_seen(self.nominal, term.effect, term.places[p]);
-                    for (c, channel) in self.scene.channels.iter().enumerate() {
-                        if mask >> channel.axis & 1 == 0 {
-                            continue;
-                        }
-                        if let (Some(out), Some(with)) = (&stack[c], &model.fit.stack[c]) {
-                            row[p] += dot(out, out) - dot(with, with);
-                        }
-                    }
-                }
-            }
-            worth.push(row);
-        }
-        Ok(worth)
     }
 }
 

@@ -189,8 +189,9 @@ impl Axis {
         self.record(config, out);
     }
 
-    /// The slip elements of a new model of the stack take over, in two ticks. The drive does not move: what they change fades with the
-    /// step that the new configuration would have made.
+    /// The slip elements of a new model of the stack take over, in two ticks. What they change fades with the step that the new
+    /// configuration would have made; of that step's fading six ticks are over at most, all of it where a transition of no time was
+    /// asked for, and then the slew limit alone softens both.
     #[cold]
     #[inline(never)]
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]

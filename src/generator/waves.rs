@@ -95,7 +95,7 @@ pub(super) fn multisine_sum(phase: u32, first: u16, stride: u16, tones: u8, sign
     high(swing, cos_q30(ahead)).wrapping_add(high(d << 6, sin_q30(back))) << 2
 }
 
-/// Q6.25 factor that brings the largest value over a period to 1 (less a thousandth for what lies between the samples).
+/// Q6.25 factor that brings the largest value over a period to 1 (less a fiftieth for what lies between the samples).
 pub(super) fn multisine_scale(first: u16, stride: u16, tones: u8, signs: u32, highest: u32) -> i32 {
     let samples = 16 * highest;
     let step = u32::MAX / samples;

@@ -1,0 +1,105 @@
+//! What a fitted model does not need: effects and places that save too little to be named.
+
+use host_sim::effects::Place;
+use host_sim::rig::Rig;
+
+use crate::Error;
+use crate::fit::Effort;
+use crate::knobs::axes_seen;
+use crate::model::{Model, Term};
+use crate::scene::{Wanted, dot};
+use crate::select::{Search, WORTH_ABSOLUTE, WORTH_OF_GAP};
+
+/// A place of an effect must be worth this much cost to stay.
+pub(crate) const WORTH_OF_PLACE: f64 = 40.0;
+
+impl Search<'_> {
+    /// Take out terms and places that the model does not need, and fit the rest again.
+    pub fn prune(&self, model: Model) -> Result<Model, Error> {
+        let mut model = model;
+        loop {
+            let worth = self.worth(&model)?;
+            let noticed = self.noticed(&model)?;
+            let mut kept_terms = Vec::new();
+            let mut start = Vec::new();
+            let mut dropped = false;
+            for (t, term) in model.terms.iter().enumerate() {
+                let total: f64 = worth[t].iter().sum();
+                let top = worth[t].iter().copied().fold(0.0, f64::max);
+                let mut places = Vec::new();
+                for (p, &place) in term.places.iter().enumerate() {
+                    let needed = worth[t][p] > WORTH_OF_PLACE.max(0.004 * top);
+                    let term_needed =
+                        noticed[t] && total > WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap);
+                    if needed && term_needed {
+                        places.push(place);
+                        start.extend_from_slice(model.values(t, p));
+                    } else {
+                        dropped = true;
+                    }
+                }
+                if !places.is_empty() {
+                    kept_terms.push(Term { effect: term.effect, places });
+                }
+            }
+            if !dropped || kept_terms.is_empty() {
+                return Ok(model);
+            }
+            model = self.fit_model(kept_terms, start, Effort { iterations: 4, ..self.effort() })?;
+        }
+    }
+
+    /// Whether each effect takes off what by itself would count as a gap. With long recordings far less is significant: what another
+    /// one's form leaves, which is no cause.
+    fn noticed(&self, model: &Model) -> Result<Vec<bool>, Error> {
+        if model.terms.len() < 2 {
+            return Ok(vec![true; model.terms.len()]);
+        }
+        let rigs = (0..model.terms.len())
+            .map(|t| model.without(self.nominal, t, |_| true))
+            .collect::<Result<Vec<_>, _>>()?;
+        let jobs: Vec<(&Rig, Wanted)> = rigs.iter().map(|rig| (rig, Wanted::ALL)).collect();
+        let stacks = self.scene.residuals(&jobs, self.include)?;
+        let counts = |without| crate::accept::counts(self.scene, without, &model.fit.stack);
+        Ok(stacks.iter().map(counts).collect())
+    }
+
+    /// Rise of the cost when each place of each term is taken out, the rest left as it is.
+    pub fn worth(&self, model: &Model) -> Result<Vec<Vec<f64>>, Error> {
+        let mut worth = Vec::new();
+        for (t, term) in model.terms.iter().enumerate() {
+            let mut row = vec![0.0; term.places.len()];
+            // Places that reach different channels share a simulation.
+            let mut groups: Vec<(Vec<usize>, u32)> = Vec::new();
+            for (p, &place) in term.places.iter().enumerate() {
+                let axes = axes_seen(self.nominal, term.effect, place);
+                match groups.iter_mut().find(|(_, mask)| *mask & axes == 0) {
+                    Some((members, mask)) => {
+                        members.push(p);
+                        *mask |= axes;
+                    }
+                    None => groups.push((vec![p], axes)),
+                }
+            }
+            for (members, axes) in groups {
+                let dropped: Vec<Place> = members.iter().map(|&p| term.places[p]).collect();
+                let rig = model.without(self.nominal, t, |place| dropped.contains(&place))?;
+                let wanted = Wanted { axes, monitors: true };
+                let stack = self.scene.residuals(&[(&rig, wanted)], self.include)?.remove(0);
+                for &p in &members {
+                    let mask = axes_seen(self.nominal, term.effect, term.places[p]);
+                    for (c, channel) in self.scene.channels.iter().enumerate() {
+                        if mask >> channel.axis & 1 == 0 {
+                            continue;
+                        }
+                        if let (Some(out), Some(with)) = (&stack[c], &model.fit.stack[c]) {
+                            row[p] += dot(out, out) - dot(with, with);
+                        }
+                    }
+                }
+            }
+            worth.push(row);
+        }
+        Ok(worth)
+    }
+}
