@@ -13,7 +13,7 @@ use crate::settings::{
     AxisSettings, Check, ConverterSettings, DacSettings, FeedbackSettings, GuardSettings, Settings,
     SettingsError,
 };
-use crate::units::{Gain, MicroCoulomb, Quantity, Um, Volt, narrow, saturate};
+use crate::units::{Gain, MicroCoulomb, Quantity, Um, Volt, minus, narrow, plus, saturate};
 use crate::{AXES, MAX_MAXWELL, TICK_HZ, TICK_S};
 
 /// A checked configuration. Only [`Config::build`] makes one.
@@ -64,7 +64,7 @@ pub(crate) struct Converter {
 impl Converter {
     #[inline(always)]
     pub(crate) fn value(&self, code: i32) -> i32 {
-        narrow::<12>((code as i64).wrapping_mul(self.scale as i64)).saturating_add(self.offset)
+        plus(narrow::<12>((code as i64).wrapping_mul(self.scale as i64)), self.offset)
     }
     /// Nearest code for a quantity's bits: for simulators; not for the tick.
     fn code(&self, bits: i64) -> i32 {
@@ -90,11 +90,11 @@ impl Dac {
         let level = (drive - self.zero).to_bits() as i64;
         let carried = if self.noise_shaping { *error } else { 0 };
         // 22 + 20 fraction bits, to 16.
-        let exact = narrow::<26>(level.wrapping_mul(self.scale as i64)).saturating_add(carried);
-        let nearest = exact.saturating_add(0x8000) >> 16;
+        let exact = plus(narrow::<26>(level.wrapping_mul(self.scale as i64)), carried);
+        let nearest = plus(exact, 0x8000) >> 16;
         let code = if nearest > self.full_code { self.full_code } else { nearest };
         let code = if code < 0 { 0 } else { code };
-        let rest = exact.saturating_sub(code << 16);
+        let rest = minus(exact, code << 16);
         *error = rest.clamp(-0x8000, 0x7fff);
         code as u16
     }

@@ -39,15 +39,64 @@ pub trait Quantity: Copy {
 
 /// `wide` / 2^`SHIFT`, rounded down, saturating. Beyond the range, the last 32 - `SHIFT` bits are any: it saturates to
 /// within 2^(32 - SHIFT) of the end.
-///
-/// The upper word is clamped and the two words are joined: three instructions on the Cortex-M4 (`ssat`, `lsr`, `orr`), where an exact
-/// end would take a comparison and a branch more, forty times a tick.
 #[inline(always)]
 pub fn narrow<const SHIFT: u32>(wide: i64) -> i32 {
     const { assert!(SHIFT > 0 && SHIFT < 32) };
+    // A processor of 64 bits sees in one comparison that there is nothing to clamp, which is the rule.
+    #[cfg(target_pointer_width = "64")]
+    {
+        let shifted = wide >> SHIFT;
+        if shifted as i32 as i64 == shifted { shifted as i32 } else { join::<SHIFT>(wide) }
+    }
+    #[cfg(not(target_pointer_width = "64"))]
+    join::<SHIFT>(wide)
+}
+
+/// [`narrow`] without a comparison: the upper word is clamped and the two words are joined, three instructions on the
+/// Cortex-M4 (`ssat`, `lsr`, `orr`), where an exact end would take a comparison and a branch more, forty times a tick.
+#[cfg_attr(not(target_pointer_width = "64"), inline(always))]
+#[cfg_attr(target_pointer_width = "64", cold, inline(never))]
+fn join<const SHIFT: u32>(wide: i64) -> i32 {
     let upper = clamp_bits::<SHIFT>((wide >> 32) as i32);
     // Joined as 64 bits: a shift of the upper word alone would be drawn into the clamp, which is then no `ssat` any more.
     (((upper as u32 as u64) << 32 | (wide as u32 as u64)) >> SHIFT) as i32
+}
+
+/// Saturating sum: one `qadd` on the Cortex-M4, an addition and a branch that is never taken on a processor of 64 bits,
+/// which would otherwise compute both ends each time.
+#[inline(always)]
+pub(crate) const fn plus(a: i32, b: i32) -> i32 {
+    #[cfg(target_pointer_width = "64")]
+    {
+        match a.checked_add(b) {
+            Some(sum) => sum,
+            None => end_towards(a),
+        }
+    }
+    #[cfg(not(target_pointer_width = "64"))]
+    a.saturating_add(b)
+}
+
+/// Saturating difference, as [`plus`].
+#[inline(always)]
+pub(crate) const fn minus(a: i32, b: i32) -> i32 {
+    #[cfg(target_pointer_width = "64")]
+    {
+        match a.checked_sub(b) {
+            Some(difference) => difference,
+            None => end_towards(a),
+        }
+    }
+    #[cfg(not(target_pointer_width = "64"))]
+    a.saturating_sub(b)
+}
+
+/// The end of the range on the side of `a`.
+#[cfg(target_pointer_width = "64")]
+#[cold]
+#[inline(never)]
+const fn end_towards(a: i32) -> i32 {
+    if a < 0 { i32::MIN } else { i32::MAX }
 }
 
 /// The nearest signed number of `BITS` bits: one `ssat` on the Cortex-M4.
@@ -144,7 +193,7 @@ macro_rules! quantity {
             type Output = Self;
             #[inline(always)]
             fn add(self, other: Self) -> Self {
-                Self(self.0.saturating_add(other.0))
+                Self(<$fixed>::from_bits(plus(self.0.to_bits(), other.0.to_bits())))
             }
         }
         impl AddAssign for $name {
@@ -157,7 +206,7 @@ macro_rules! quantity {
             type Output = Self;
             #[inline(always)]
             fn sub(self, other: Self) -> Self {
-                Self(self.0.saturating_sub(other.0))
+                Self(<$fixed>::from_bits(minus(self.0.to_bits(), other.0.to_bits())))
             }
         }
         impl Neg for $name {
@@ -370,6 +419,29 @@ mod tests {
         let sum = most + most + most + most + most + most + most;
         assert_eq!(sum.to_bits(), -7 * (1i64 << 60));
         assert!(sum.narrow().to_bits() < i32::MIN + (1 << 8));
+    }
+
+    #[test]
+    fn both_forms_of_narrowing_agree() {
+        // Ends, middles and a spread of bit patterns (Weyl's sequence by the golden ratio).
+        let spread = (0..100_000_i64).map(|n| n.wrapping_mul(0x9e37_79b9_7f4a_7c15_u64 as i64));
+        let ends = [0, -1, i64::MIN, i64::MAX, (1 << 55) - 1, 1 << 55, -(1 << 55), -(1 << 55) - 1];
+        for wide in spread.chain(ends) {
+            for wide in [wide, wide >> 5, wide >> 8, wide >> 9, wide >> 20] {
+                assert_eq!(narrow::<24>(wide), join::<24>(wide), "{wide}");
+                assert_eq!(narrow::<12>(wide), join::<12>(wide), "{wide}");
+                assert_eq!(narrow::<29>(wide), join::<29>(wide), "{wide}");
+            }
+        }
+    }
+
+    #[test]
+    fn sums_saturate_as_the_library_has_it() {
+        let values = [i32::MIN, i32::MIN + 1, -77, -1, 0, 1, 77, i32::MAX - 1, i32::MAX];
+        for (a, b) in values.iter().flat_map(|&a| values.map(|b| (a, b))) {
+            assert_eq!(plus(a, b), a.saturating_add(b), "{a} + {b}");
+            assert_eq!(minus(a, b), a.saturating_sub(b), "{a} - {b}");
+        }
     }
 
     #[test]

@@ -35,9 +35,12 @@ impl Noise {
     #[cold]
     #[inline(never)]
     fn refill(&mut self) {
+        // A copy of the generator stays in registers through the loop.
+        let mut random = self.random.clone();
         for number in &mut self.block {
-            *number = self.random.sample(StandardNormal);
+            *number = random.sample(StandardNormal);
         }
+        self.random = random;
         self.taken = 0;
     }
 }

@@ -1,6 +1,8 @@
 //! The plant a tick at a time, with noise and rounding: what a controller, the emulator or the virtual board closes
 //! its loop around.
 
+use std::iter::repeat;
+
 use crate::noise::Noise;
 use crate::rig::Rig;
 use crate::round::nearest;
@@ -56,12 +58,11 @@ pub struct Plant {
     sensors: SensorSim,
     /// Group and slot of each axis.
     place: Vec<(usize, usize)>,
-    converters: Vec<Converter>,
+    ports: Vec<Port>,
+    /// Whether each sensor reads its own axis and adds its offset, no more.
+    plain: bool,
     noise: Option<Noise>,
     samples: Vec<Sample>,
-    /// True displacements and amplifier outputs at this tick.
-    position_m: Vec<f64>,
-    output_v: Vec<f64>,
     readings_m: Vec<f64>,
     initial: Vec<Initial>,
     started: bool,
@@ -71,9 +72,13 @@ pub struct Plant {
     start_s: f64,
 }
 
-/// Noise and rounding of the two readings of an axis.
+/// Where an axis is at this tick, and noise and rounding of its two readings.
 #[derive(Clone, Copy)]
-struct Converter {
+struct Port {
+    position_m: f64,
+    output_v: f64,
+    /// What its sensor adds if all sensors are plain, m.
+    offset_m: f64,
     sensor: Reading,
     monitor: Reading,
 }
@@ -123,21 +128,26 @@ impl Plant {
                 place[axis] = (group, slot);
             }
         }
-        let converter = |axis: &crate::rig::Axis| Converter {
+        let plain = sensors.plain_offsets_m().is_some();
+        let port = |(axis, offset_m): (&crate::rig::Axis, f64)| Port {
+            position_m: 0.0,
+            output_v: 0.0,
+            offset_m,
             sensor: Reading::new(axis.sensor.noise_rms_m, axis.sensor.resolution_m),
             monitor: axis.monitor.as_ref().map_or(Reading::new(0.0, 0.0), |monitor| {
                 Reading::new(monitor.noise_rms_v, monitor.resolution_v)
             }),
         };
+        let offsets_m = sensors.plain_offsets_m().into_iter().flatten().chain(repeat(0.0));
+        let ports = rig.axes.iter().zip(offsets_m).map(port).collect();
         Ok(Self {
             groups,
             sensors,
             place,
-            converters: rig.axes.iter().map(converter).collect(),
+            ports,
+            plain,
             noise: options.noise.then(|| Noise::new(options.seed)),
             samples: vec![Sample::default(); n],
-            position_m: vec![0.0; n],
-            output_v: vec![0.0; n],
             readings_m: vec![0.0; n],
             initial: vec![Initial { amplifier_v: Some(0.0), ..Initial::default() }; n],
             started: false,
@@ -236,29 +246,42 @@ impl Plant {
     fn look(&mut self) {
         for group in &self.groups {
             for (axis, &member) in group.axes().iter().zip(&group.members) {
-                self.position_m[member] = axis.position_m();
-                self.output_v[member] = axis.output_v();
+                let port = &mut self.ports[member];
+                port.position_m = axis.position_m();
+                port.output_v = axis.output_v();
             }
         }
     }
 
     fn read(&mut self) {
-        let time_s = self.time_s();
-        let position_m = &self.position_m;
-        self.sensors.read(|axis| position_m[axis], time_s, |_| true, &mut self.readings_m);
-        let bare = self.position_m.iter().zip(&self.output_v).zip(&self.readings_m);
-        let bare =
-            bare.map(|((&true_m, &monitor_v), &sensed_m)| Sample { true_m, sensed_m, monitor_v });
-        let Some(noise) = &mut self.noise else {
-            self.samples.iter_mut().zip(bare).for_each(|(sample, bare)| *sample = bare);
+        if self.plain {
+            let ports = self.ports.iter().map(|port| (port, port.position_m + port.offset_m));
+            read_with(&mut self.noise, &mut self.samples, ports);
             return;
-        };
-        for ((sample, bare), converter) in self.samples.iter_mut().zip(bare).zip(&self.converters) {
-            *sample = Sample {
-                sensed_m: converter.sensor.of(bare.sensed_m, noise),
-                monitor_v: converter.monitor.of(bare.monitor_v, noise),
-                ..bare
-            };
         }
+        let (time_s, ports) = (self.time_s(), &self.ports);
+        self.sensors.read(|axis| ports[axis].position_m, time_s, |_| true, &mut self.readings_m);
+        let ports = self.ports.iter().zip(self.readings_m.iter().copied());
+        read_with(&mut self.noise, &mut self.samples, ports);
+    }
+}
+
+/// Noise and rounding: samples from each axis and what its sensor would read without them (m).
+#[inline]
+fn read_with<'a>(
+    noise: &mut Option<Noise>,
+    samples: &mut [Sample],
+    ports: impl Iterator<Item = (&'a Port, f64)>,
+) {
+    for (sample, (port, sensed_m)) in samples.iter_mut().zip(ports) {
+        let (true_m, monitor_v) = (port.position_m, port.output_v);
+        *sample = match noise {
+            None => Sample { true_m, sensed_m, monitor_v },
+            Some(noise) => Sample {
+                true_m,
+                sensed_m: port.sensor.of(sensed_m, noise),
+                monitor_v: port.monitor.of(monitor_v, noise),
+            },
+        };
     }
 }

@@ -31,6 +31,11 @@ impl SensorSim {
         Self { map, bare_m: vec![0.0; channels.len()], channels, plain }
     }
 
+    /// What each sensor adds to the displacement of its own axis, if that is all that any of them does, m.
+    pub fn plain_offsets_m(&self) -> Option<impl Iterator<Item = f64>> {
+        self.plain.then(|| self.channels.iter().map(|channel| channel.offset_m))
+    }
+
     /// Axes whose displacement sensor `sensor` depends on.
     pub fn axes_of(&self, sensor: usize) -> Vec<usize> {
         let n = self.channels.len();
