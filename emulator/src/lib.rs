@@ -10,12 +10,13 @@
 //! - [`cpu`] executes, takes exceptions, counts instructions
 //! - [`periph`] is the chip, one file for each peripheral
 //! - [`usb_host`] is the computer
-//! - [`board`] wires the plant to the converters and breaks things
+//! - [`board`] wires the plant to the converters and breaks things, [`faults`] on a schedule
 //! - [`rtt`] reads the logs, [`link`] the wire format, [`bench`] ties it together, [`server`] serves it on a socket
 
 pub mod bench;
 pub mod board;
 pub mod cpu;
+pub mod faults;
 pub mod link;
 pub mod periph;
 pub mod rtt;

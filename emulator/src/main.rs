@@ -9,6 +9,7 @@ use clap::Parser;
 use emulator::bench::Bench;
 use emulator::cpu::Event;
 use emulator::cpu::image::Image;
+use emulator::faults::ScheduledFault;
 use emulator::server::{IN, Request, Server};
 use emulator::time::{MILLISECOND, Time, from_seconds, milliseconds, seconds};
 use host_sim::{Options, Rig};
@@ -36,10 +37,15 @@ struct Cli {
     /// Seed of the rig's noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Something that breaks: KIND:AXIS@FROM or KIND:AXIS@FROM-TO, times in emulated seconds, as gauge-open:2@20-25;
+    /// gauge-open, gauge-short, gauge-stuck, gauge-noisy, pushed, amplifier-dead, amplifier-railed or monitor-off. May be
+    /// given several times.
+    #[arg(long = "fault", value_name = "FAULT")]
+    faults: Vec<ScheduledFault>,
 }
 
 fn main() -> Result<()> {
-    let cli = Cli::parse();
+    let mut cli = Cli::parse();
     let speed = match cli.speed.as_str() {
         "max" => None,
         s => match s.parse::<f64>() {
@@ -72,10 +78,14 @@ fn main() -> Result<()> {
     match &server {
         Some(server) => {
             println!("serving the board's USB endpoints on {}", server.address);
-            serve(&mut bench, server, end, speed)?;
+            serve(&mut bench, server, end, speed, &mut cli.faults)?;
         }
+        None if cli.faults.is_empty() => bench.run_for(end)?,
         None => {
-            bench.run_for(end)?;
+            while bench.now() < end {
+                cli.faults.iter_mut().for_each(|fault| fault.follow(&bench));
+                bench.run_for(MILLISECOND)?;
+            }
         }
     }
     summary(&bench, started.elapsed());
@@ -83,7 +93,13 @@ fn main() -> Result<()> {
 }
 
 /// Runs until `end`, moving transfers between the device and the client.
-fn serve(bench: &mut Bench, server: &Server, end: Time, speed: Option<f64>) -> Result<()> {
+fn serve(
+    bench: &mut Bench,
+    server: &Server,
+    end: Time,
+    speed: Option<f64>,
+    faults: &mut [ScheduledFault],
+) -> Result<()> {
     let started = Instant::now();
     bench.machine.soc_mut().stack.set_reading(false, 0);
     let mut connected = false;
@@ -108,6 +124,7 @@ fn serve(bench: &mut Bench, server: &Server, end: Time, speed: Option<f64>) -> R
                 }
             }
         }
+        faults.iter_mut().for_each(|fault| fault.follow(bench));
         let event = bench.machine.run_for(MILLISECOND)?;
         let now = bench.now();
         if event != Event::Time {

@@ -11,7 +11,7 @@ use crate::scene::Scene;
 use crate::select::Search;
 
 /// Cost difference below which noise alone could have decided: three standard deviations and the freedom of the rival.
-const NOISE_MARGIN: f64 = 25.0;
+pub(crate) const NOISE_MARGIN: f64 = 25.0;
 /// A rival that leaves no more than this multiple of what the chosen model leaves is not told apart: a misfit of that size is a
 /// matter of form, not of kind.
 const LEFTOVER_MARGIN: f64 = 0.5;

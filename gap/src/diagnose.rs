@@ -292,12 +292,18 @@ fn integrity_notes(scene: &Scene, rig: &Rig) -> Vec<String> {
                 track.file, track.lost
             ));
         }
-        if track.closed_loop {
-            notes.push(format!(
-                "{}: recorded with a setpoint; if the loop was closed, its noise is in the drive.",
-                track.file
-            ));
-        }
+    }
+    let follow: Vec<&str> =
+        scene.tracks.iter().filter(|t| t.closed_loop).map(|t| t.file.as_str()).collect();
+    if !follow.is_empty() {
+        let which = if follow.len() == scene.tracks.len() && follow.len() > 1 {
+            format!("All {} recordings", follow.len())
+        } else {
+            follow.join(", ")
+        };
+        notes.push(format!(
+            "{which}: recorded with a setpoint; if the loop was closed, its noise is in the drive."
+        ));
     }
     for (axis, noise) in scene.position_noise.iter().enumerate() {
         let stated = rig.axes[axis].sensor.noise_rms_m * 1.0e6;

@@ -26,13 +26,15 @@ pub struct Breadth {
     partners: usize,
     /// Effects that are tried in the place of each one of the model chosen.
     swaps: usize,
+    /// ... and how many of a single parameter beside them.
+    plain: usize,
 }
 
 impl Breadth {
     /// For the session as a whole.
-    pub const FULL: Self = Self { shortlist: 7, beam: 3, partners: 3, swaps: 3 };
+    pub const FULL: Self = Self { shortlist: 7, beam: 3, partners: 3, swaps: 3, plain: 2 };
     /// For what a full search has left open.
-    pub const BRIEF: Self = Self { shortlist: 5, beam: 2, partners: 2, swaps: 1 };
+    pub const BRIEF: Self = Self { shortlist: 5, beam: 2, partners: 2, swaps: 1, plain: 1 };
 }
 
 /// Most effects in a model.
@@ -47,6 +49,8 @@ const NEARLY_ALL: f64 = 0.7;
 pub(crate) const WORTH_ABSOLUTE: f64 = 60.0;
 /// The first effect must remove this share of the gap: three of less never make an explanation.
 const WORTH_OF_FIRST: f64 = 0.05;
+/// A plainer model may leave this much more than the best one, of what that leaves.
+const AS_LITTLE: f64 = 0.1;
 /// Share of the gain that is needed which a partner must promise by linear prediction to be fitted.
 const PROMISE: f64 = 0.3;
 
@@ -145,7 +149,11 @@ impl<'a> Search<'a> {
         match best {
             Some(model) => {
                 let model = self.swap(model)?;
-                let model = self.trade(model)?;
+                let known = model.key();
+                let mut model = self.trade(model)?;
+                if model.key() != known {
+                    model = self.swap(model)?;
+                }
                 let pruned = self.prune(model)?;
                 let (terms, start): (Vec<Term>, Vec<Vec<f64>>) =
                     start_terms(&pruned).into_iter().unzip();
@@ -225,7 +233,7 @@ impl<'a> Search<'a> {
     fn swap(&mut self, model: Model) -> Result<Model, Error> {
         let size = model.terms.len();
         if size < 2 {
-            return Ok(model);
+            return Ok(self.plainest(model));
         }
         let names = model.key();
         for t in 0..size {
@@ -244,7 +252,12 @@ impl<'a> Search<'a> {
             )?;
             let gains = self.screen.test(self.scene, &stack, Some(&sensitivities));
             let needed = cost(&stack) - model.fit.cost;
-            for (effect, gains) in self.shortlist(&gains, &names, self.breadth.swaps) {
+            let mut offers = self.shortlist(&gains, &names, usize::MAX);
+            let plain = offers.split_off(offers.len().min(self.breadth.swaps)).into_iter();
+            // An effect of many forms promises more than the plain one whose form it takes on here.
+            let plain = plain.filter(|(effect, _)| effect.info().parameters.len() == 1);
+            offers.extend(plain.take(self.breadth.plain));
+            for (effect, gains) in offers {
                 if gains.iter().map(|g| g.gain).sum::<f64>() < PROMISE * needed {
                     continue;
                 }
@@ -257,7 +270,19 @@ impl<'a> Search<'a> {
                 }
             }
         }
-        Ok(self.best_of(size).unwrap_or(model))
+        Ok(self.best_of(size).map_or(model, |best| self.plainest(best)))
+    }
+
+    /// The model of fewest numbers among those that leave about as little as the best one, of as many effects.
+    fn plainest(&self, best: Model) -> Model {
+        let left = (best.fit.cost - self.noise).max(0.0);
+        let most = best.fit.cost + crate::ambiguity::NOISE_MARGIN + AS_LITTLE * left;
+        let is_rival = |m: &&Model| m.terms.len() == best.terms.len() && m.fit.cost < most;
+        let plainest = self.tried.iter().filter(is_rival).min_by_key(|m| m.fit.values.len());
+        match plainest {
+            Some(plain) if plain.fit.values.len() < best.fit.values.len() => plain.clone(),
+            _ => best,
+        }
     }
 
     /// Best effects by predicted gain, with the places that are worth fitting.

@@ -57,7 +57,15 @@ fn stage(rig: &Rig, args: &Args) -> anyhow::Result<()> {
     let parent = args.out.parent().filter(|p| !p.as_os_str().is_empty());
     let parent = parent.unwrap_or(Path::new("."));
     if args.for_control {
-        let found = gap::for_control(rig, &session)?;
+        let bar = indicatif::ProgressBar::new_spinner().with_message(format!(
+            "fitting creep, hysteresis and lag of {} axes to {} recordings",
+            rig.axes.len(),
+            session.recordings.len()
+        ));
+        bar.enable_steady_tick(std::time::Duration::from_millis(100));
+        let found = gap::for_control(rig, &session);
+        bar.finish_and_clear();
+        let found = found?;
         crate::diagnose::write_all(parent, &[(name, found.rig.to_toml())])?;
         for (axis, findings) in found.axes.iter().enumerate() {
             if let Some(findings) = findings {

@@ -31,6 +31,10 @@ pub struct Args {
     /// Seed of the rig's noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Something that breaks, KIND:AXIS@FROM or KIND:AXIS@FROM-TO in emulated seconds, as gauge-open:2@20-25; a wrong kind
+    /// gets the list. May be given several times.
+    #[arg(long = "fault", value_name = "FAULT")]
+    faults: Vec<String>,
 }
 
 /// Builds the image unless one is given, then runs the emulator.
@@ -61,6 +65,9 @@ pub fn run(args: &Args) -> Result<()> {
     }
     if let Some(listen) = &args.listen {
         run = run.arg("--listen").arg(listen);
+    }
+    for fault in &args.faults {
+        run = run.arg("--fault").arg(fault);
     }
     run.run()?;
     Ok(())
