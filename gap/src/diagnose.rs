@@ -251,9 +251,11 @@ fn answer(
     } else {
         None
     };
+    let mut in_order_nm = None;
     let past_known = scene.tracks.iter().any(|t| !t.past.is_empty());
     if past_known && causes.iter().any(|c| c.effect == "creep") {
         notes.push(if scene.runs_on {
+            in_order_nm = Some(in_order.after_nm);
             format!(
                 "Creep runs on from one recording to the next here. The figures are those of a replay of single files, which starts \
                  without it; taken in the session's order the same rig leaves {:.1} nm of held-out recordings.",
@@ -263,8 +265,17 @@ fn answer(
             "Every recording begins with a stack that no longer creeps from the one before.".into()
         });
     }
-    let diagnosis =
-        Diagnosis { verdict, gap, location, causes, next_experiment, recordings, band, notes };
+    let diagnosis = Diagnosis {
+        verdict,
+        gap,
+        location,
+        causes,
+        next_experiment,
+        recordings,
+        band,
+        in_order_nm,
+        notes,
+    };
     let cuts_after = locate::cuts(scene, &raw_after, &white_after);
     let tried = found.as_ref().map(|f| f.tried.clone()).unwrap_or_default();
     let report = picture::report(&Findings {

@@ -39,6 +39,10 @@ pub struct Diagnosis {
     /// Where the causes account for slow motion only: how far the gap shrinks there. The figures of `gap` are over all frequencies.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub band: Option<Band>,
+    /// Gap with the causes added where the recordings are taken in the session's order, each beginning as the one before has left the
+    /// stage, nm; only where that makes a difference. A replay of single files, which `gap` stands for, knows nothing of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub in_order_nm: Option<f64>,
     /// Statements that fit no field: what cannot be told from this session, what was disturbed.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,

@@ -51,12 +51,14 @@ pub(crate) fn search(
     let Some(model) = by_axis(&mut search, whole, effects, gaps)? else { return Ok(None) };
     let model = stands_elsewhere(&search, model)?;
     let gap = search.gap.max(1.0);
-    let tried: Vec<(String, f64)> = search
-        .tried
-        .iter()
-        .take(12)
-        .map(|m| (m.key().join(" + "), 1.0 - (m.fit.cost - search.noise) / gap))
-        .collect();
+    // The same effects on other axes, or from another start, are one entry: the best comes first.
+    let mut tried: Vec<(String, f64)> = Vec::new();
+    for m in &search.tried {
+        let name = m.key().join(" + ");
+        if tried.len() < 12 && tried.iter().all(|(known, _)| *known != name) {
+            tried.push((name, 1.0 - (m.fit.cost - search.noise) / gap));
+        }
+    }
     let standings = ambiguity::standings(&search, &model);
     bar.set_message("checking on the recordings held out");
     let missed = missed(scene, rig, &model)?;

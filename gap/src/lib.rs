@@ -89,17 +89,20 @@ pub fn sentence(diagnosis: &Diagnosis) -> String {
         );
     }
     let closed = 100.0 * gap.closed;
+    let in_order = diagnosis.in_order_nm.map_or(String::new(), |nm| {
+        format!(" Taken in the session's order, not file by file, {nm:.1} nm are left.")
+    });
     match diagnosis.verdict {
         Verdict::NoGap => format!(
             "No gap beyond noise: the rig file predicts these recordings to {:.2} nm, and the noise is {:.2} nm.",
             gap.before_nm, gap.floor_nm
         ),
         Verdict::Explained => format!(
-            "{causes}: the gap falls from {:.1} nm to {:.1} nm on recordings that were not fitted (noise {:.1} nm; {closed:.1} % closed).",
+            "{causes}: the gap falls from {:.1} nm to {:.1} nm on recordings that were not fitted (noise {:.1} nm; {closed:.1} % closed).{in_order}",
             gap.before_nm, gap.after_nm, gap.floor_nm
         ),
         Verdict::PartlyExplained => format!(
-            "{causes} close {closed:.1} % of the gap ({:.1} nm to {:.1} nm, noise {:.1} nm); nothing in the catalogue accounts for the rest.",
+            "{causes} close {closed:.1} % of the gap ({:.1} nm to {:.1} nm, noise {:.1} nm); nothing in the catalogue accounts for the rest.{in_order}",
             gap.before_nm, gap.after_nm, gap.floor_nm
         ),
         Verdict::Unexplained => {

@@ -54,7 +54,7 @@ fn budget(page: Report, f: &Findings) -> Report {
             format!("{:.2}", axis.before_nm),
             format!("{:.2}", axis.after_nm),
             format!("{:.2}", axis.floor_nm),
-            if axis.before_nm.powi(2) > 1.01 * axis.floor_nm.powi(2) {
+            if axis.before_nm > 1.05 * axis.floor_nm {
                 format!("{:.1}", 100.0 * axis.closed)
             } else {
                 "no gap".into()
@@ -299,7 +299,7 @@ fn causes(page: Report, f: &Findings) -> Report {
         if let Some(effect) = find(&cause.effect) {
             let info = effect.info();
             page = page
-                .paragraph(format!("Physics: {} Revealed by {}", info.physics, info.revealed_by));
+                .paragraph(format!("Physics: {} Revealed by {}.", info.physics, info.revealed_by));
         }
         page = page.paragraph(if cause.indistinguishable_from.is_empty() {
             "Nothing else in the catalogue explains these recordings as well.".to_string()

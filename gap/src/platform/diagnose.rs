@@ -94,6 +94,7 @@ pub fn diagnose(rig: &PlatformRig, session: &Session) -> Result<Outcome, Platfor
     let ambiguity = ambiguity(&selection, &found);
     let diagnosis = Diagnosis {
         band: None,
+        in_order_nm: None,
         verdict,
         location: location(data, &selection, &gap, verdict, &split),
         causes: selection.accepted.iter().map(|accepted| cause(accepted, &found, memory)).collect(),

@@ -103,8 +103,11 @@ fn sentence(json: &serde_json::Value) -> String {
             format!("{} (axis {})", cause["effect"].as_str().unwrap_or("?"), axes.join(", "))
         })
         .collect();
+    let in_order = json["in_order_nm"]
+        .as_f64()
+        .map_or(String::new(), |nm| format!(" ({nm:.1} nm in the session's order)"));
     format!(
-        "{}{}, gap {:.1} nm before, {:.1} nm after",
+        "{}{}, gap {:.1} nm before, {:.1} nm after{in_order}",
         json["verdict"].as_str().unwrap_or("?"),
         if causes.is_empty() { String::new() } else { format!(": {}", causes.join(" + ")) },
         json["gap"]["before_nm"].as_f64().unwrap_or(f64::NAN),

@@ -10,6 +10,9 @@ use telemetry::AXES;
 use super::{BAD, GOOD, WARN, axis_color};
 use crate::settings_text::differences;
 
+/// Changes that are listed before they are sent.
+const SHOWN: usize = 4;
+
 /// What the person wants.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Request {
@@ -112,9 +115,6 @@ impl Gains {
                     .color(WARN),
             ),
         };
-        for (name, old, new) in changes.iter().take(4) {
-            ui.label(RichText::new(format!("{name}: {old} -> {new}")));
-        }
         ui.horizontal_wrapped(|ui| {
             let can = problem.is_none() && !changes.is_empty();
             if ui.add_enabled(can, eframe::egui::Button::new("Apply")).clicked() {
@@ -189,6 +189,13 @@ impl Gains {
                 });
             }
         });
+        // Below the buttons, so that these stay where they are while one types.
+        for (name, old, new) in changes.iter().take(SHOWN) {
+            ui.label(RichText::new(format!("{name}: {old} -> {new}")));
+        }
+        if changes.len() > SHOWN {
+            ui.label(format!("and {} more", changes.len() - SHOWN));
+        }
         match &self.comparison {
             Some(Err(error)) => {
                 ui.label(RichText::new(error).color(BAD));
