@@ -179,6 +179,8 @@ fn by_axis(
 const MISSED_GAP: f64 = 200.0;
 /// ... and as a share of the gap of all recordings held out.
 const MISSED_SHARE: f64 = 0.01;
+/// ... and of its energy with the weights undone: what is next to nothing in nanometres is not worth a second search.
+const MISSED_ENERGY: f64 = 0.002;
 
 /// Held-out recordings whose gap the model leaves open: worth a look with these recordings among the fitted ones.
 fn missed(scene: &Scene, rig: &Rig, model: &Model) -> Result<Vec<usize>, Error> {
@@ -187,6 +189,7 @@ fn missed(scene: &Scene, rig: &Rig, model: &Model) -> Result<Vec<usize>, Error> 
     let after = stacks.remove(1);
     let before = stacks.remove(0);
     let whole = cost(&before) - noise_cost(scene, &before);
+    let energy = scene.excess(&before);
     let mut missed = Vec::new();
     for track in 0..scene.tracks.len() {
         let pick = |stack: &Stack| -> Stack {
@@ -199,7 +202,8 @@ fn missed(scene: &Scene, rig: &Rig, model: &Model) -> Result<Vec<usize>, Error> 
         let (b, a) = (pick(&before), pick(&after));
         let noise = noise_cost(scene, &b);
         let (gap, left) = (cost(&b) - noise, cost(&a) - noise);
-        if gap > MISSED_GAP.max(MISSED_SHARE * whole) && left > 0.5 * gap {
+        let is_open = gap > MISSED_GAP.max(MISSED_SHARE * whole) && left > 0.5 * gap;
+        if is_open && scene.excess(&a) > MISSED_ENERGY * energy {
             missed.push(track);
         }
     }
