@@ -23,6 +23,7 @@ use crate::{AXES, Config, Faults, Settings, TICK_HZ, store};
 
 pub mod clocks;
 pub mod converters;
+mod copy;
 pub mod crash;
 pub mod critical;
 pub mod device;
