@@ -52,7 +52,8 @@ impl Machine {
         // `b .` in the last half-word of flash bank 1, which no image uses.
         let last = FLASH_BYTES - 2;
         self.flash.set_u16(last, 0xe7fe);
+        self.derail(FLASH + last as u32)?;
         set(&mut self.uc, R::PRIMASK, 1);
-        self.derail(FLASH + last as u32)
+        Ok(())
     }
 }
