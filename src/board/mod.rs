@@ -8,11 +8,11 @@
 //! ```
 //!
 //! [`tick`] is the control interrupt, alone at the highest priority; [`usb`] the link, on an interrupt executor below it;
-//! the watch and the lamps run on the thread executor. Wiring, clock tree, memory map and what was never run on silicon:
+//! the watch and the lamps run on another below everything else. Wiring, clock tree, memory map and what was never run on silicon:
 //! `docs/board.md`.
 
 use defmt_rtt as _;
-use embassy_executor::{Executor, InterruptExecutor};
+use embassy_executor::InterruptExecutor;
 use embassy_stm32::peripherals::{IWDG, PC6, PC7};
 use embassy_stm32::{Peri, interrupt};
 use static_cell::StaticCell;
@@ -23,6 +23,7 @@ use crate::{AXES, Config, Faults, Settings, TICK_HZ, store};
 
 pub mod clocks;
 pub mod converters;
+mod copy;
 pub mod crash;
 pub mod critical;
 pub mod device;
@@ -65,6 +66,15 @@ unsafe fn UART4() {
     unsafe { USB_EXECUTOR.on_interrupt() }
 }
 
+static REST_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
+
+/// Runs the watch and the lamps. Not in thread mode, which would be woken by every interrupt to find nothing to do.
+#[interrupt]
+unsafe fn UART5() {
+    // SAFETY: this is the interrupt that the executor was started with.
+    unsafe { REST_EXECUTOR.on_interrupt() }
+}
+
 unsafe extern "C" {
     static mut __sccm: u32;
     static mut __eccm: u32;
@@ -98,19 +108,23 @@ pub fn run() -> ! {
     stack::paint();
     load_ccm();
     let p = start();
-    static EXECUTOR: StaticCell<Executor> = StaticCell::new();
-    EXECUTOR.init_with(Executor::new).run(|spawner| {
-        match (tasks::watch(p.watchdog), tasks::lamps(p.state, p.fault)) {
-            (Ok(watch), Ok(lamps)) => {
-                spawner.spawn(watch);
-                spawner.spawn(lamps);
-            }
-            _ => defmt::error!("the watch or the lamps could not start"),
+    let rest = REST_EXECUTOR.start(interrupt::UART5);
+    match (tasks::watch(p.watchdog), tasks::lamps(p.state, p.fault)) {
+        (Ok(watch), Ok(lamps)) => {
+            rest.spawn(watch);
+            rest.spawn(lamps);
         }
-    })
+        _ => defmt::error!("the watch or the lamps could not start"),
+    }
+    // SAFETY: nobody else writes SCR.
+    let mut core = unsafe { cortex_m::Peripherals::steal() };
+    core.SCB.set_sleeponexit();
+    loop {
+        cortex_m::asm::wfi();
+    }
 }
 
-/// Peripherals of the thread executor's tasks.
+/// Peripherals of the tasks at the lowest priority.
 struct Rest {
     watchdog: Peri<'static, IWDG>,
     state: Peri<'static, PC6>,

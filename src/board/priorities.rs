@@ -6,6 +6,7 @@
 //! | P3 | TIM2 | embassy's clock |
 //! | P5 | USB_LP | USB packets |
 //! | P6 | UART4 | executor of the USB tasks (the UART is not used, its interrupt is pended by software) |
+//! | P15 | UART5 | executor of the watch and the lamps (as UART4) |
 //! | P15 | all others | none is enabled |
 //!
 //! Every interrupt starts at P0 after reset, and embassy leaves it there.

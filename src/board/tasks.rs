@@ -1,4 +1,4 @@
-//! Tasks of the thread executor: the watch and the lamps.
+//! Tasks at the lowest priority: the watch and the lamps.
 
 use core::sync::atomic::Ordering;
 

@@ -200,6 +200,7 @@ unsafe fn ADC3() {
     let table =
         if SHOWN.has_table.load(Ordering::Acquire) { Some(unsafe { &*TABLE.get() }) } else { None };
     timebase::clear_trigger();
+    timebase::postpone_deadline();
     let missing = converters::take(&mut state.codes);
 
     let faults = state.look_around(missing != 0);
@@ -251,12 +252,12 @@ unsafe fn ADC3() {
     account(timebase::cycles().wrapping_sub(entered), state.was_late);
 }
 
-/// Half a period after the sample: if the converters did not end, the tick has to run without them.
+/// Half a period after a trigger whose tick has not run: the converters did not end, so it has to run without them.
 #[interrupt]
 #[unsafe(link_section = ".ccm.deadline")]
 unsafe fn TIM7_DAC() {
     timebase::clear_deadline();
-    // TIM6 has triggered since the tick acknowledged it last: the tick of this period did not run.
+    // Unless the tick came in between.
     if timebase::has_triggered() {
         cortex_m::peripheral::NVIC::pend(interrupt::ADC3);
     }

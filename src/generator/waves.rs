@@ -78,14 +78,22 @@ pub(super) fn multisine_sum(phase: u32, first: u16, stride: u16, tones: u8, sign
     // |b| is at most 1 + 2 + .. + 16 = 136, |d| below 16 / cos(x/2) < 23. Differences have 20 fraction bits, sums 23: what the upper
     // word of a product with `bend` has.
     let (mut b, mut d) = (0i32, 0i32);
-    let tones = if tones > MAX_TONES { MAX_TONES } else { tones };
+    let tones = if tones > MAX_TONES { MAX_TONES as u32 } else { tones as u32 };
     // The last tone's sign into the uppermost bit. Tones that it is set for are 1 - 2.
-    let mut signs = signs << ((32 - tones as u32) & 31);
-    for _ in 0..tones {
-        let tone = TONE.wrapping_sub((signs >> 10) as i32 & (2 * TONE));
-        d = add_high(d, bend, b).wrapping_add(tone);
+    let mut signs = signs << (32_u32.wrapping_sub(tones) & 31);
+    let tone = |signs: u32, nth: u32| TONE.wrapping_sub((signs >> (10 - nth)) as i32 & (2 * TONE));
+    // Four at a time, after those that are left over: a loop's own instructions are half as many as a tone's.
+    for _ in 0..tones & 3 {
+        d = add_high(d, bend, b).wrapping_add(tone(signs, 0));
         b = b.wrapping_add(d << 3);
         signs <<= 1;
+    }
+    for _ in 0..tones >> 2 {
+        for nth in 0..4 {
+            d = add_high(d, bend, b).wrapping_add(tone(signs, nth));
+            b = b.wrapping_add(d << 3);
+        }
+        signs <<= 4;
     }
     // sum = b_0 sin(a) - b_1 sin(a - x) = 2 b_0 sin(x/2) cos(a - x/2) + d_0 sin(a - x).
     let back = a.wrapping_sub(x as u32);

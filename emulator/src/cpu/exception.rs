@@ -19,7 +19,7 @@ pub const RETURN_CYCLES: u64 = 10;
 
 /// Reads a core register.
 #[inline]
-pub fn get(uc: &Unicorn<'_, Core>, register: R) -> u32 {
+pub fn get<D>(uc: &Unicorn<'_, D>, register: R) -> u32 {
     // A register of this core: reading it cannot fail.
     uc.reg_read(register).unwrap_or(0) as u32
 }

@@ -28,7 +28,7 @@ use crate::periph::{Analog, ResetCause, Soc};
 use crate::rtt::Rtt;
 use crate::time::{MILLISECOND, NEVER, Time};
 use exception::{get, set};
-use hooks::due;
+use hooks::{BlockHook, due};
 use image::{FLASH, Image};
 use lengths::Lengths;
 use memory::Memory;
@@ -36,6 +36,8 @@ use meter::Meter;
 use profile::Profile;
 
 const CORTEX_M4: i32 = 9;
+/// Not the core's 1 KiB: blocks are linked to each other, and not looked up, within a page only.
+const PAGE: u32 = 4096;
 const FLASH_BYTES: usize = 256 * 1024;
 const SRAM: u32 = 0x2000_0000;
 const SRAM_BYTES: usize = 96 * 1024;
@@ -90,6 +92,8 @@ pub struct Core {
 
 /// A powered board: chip, plant and host.
 pub struct Machine {
+    /// Refers to `uc` and is dropped first.
+    _block_hook: Rc<BlockHook>,
     uc: Unicorn<'static, Core>,
     image: Rc<Image>,
     flash: Memory,
@@ -103,6 +107,8 @@ pub struct Machine {
     pub resets: Vec<(Time, ResetCause)>,
     /// Times the core left translated code.
     pub stops: u64,
+    /// Nothing wakes the core but an interrupt: the last handler has returned with SCR.SLEEPONEXIT set.
+    asleep: bool,
 }
 
 fn uc<T>(what: &str, r: std::result::Result<T, uc_error>) -> Result<T> {
@@ -134,6 +140,7 @@ impl Machine {
         // Mode::MCLASS would make it a Cortex-M33, whatever the model.
         let mut u = uc("create", Unicorn::new_with_data(Arch::ARM, Mode::THUMB, core))?;
         uc("cpu model", u.ctl_set_cpu_model(CORTEX_M4))?;
+        uc("page size", u.ctl_set_page_size(PAGE))?;
         let read_exec = Prot(Prot::READ.0 | Prot::EXEC.0);
         let read_write = Prot(Prot::READ.0 | Prot::WRITE.0);
         // SAFETY: every block outlives its mapping: `Machine` keeps all of them (the chip the packet memory), and
@@ -153,9 +160,10 @@ impl Machine {
         map(CCM, &ccm, 0, CCM_BYTES, Prot::ALL)?;
         Self::map_registers(&mut u)?;
         Self::add_pages(&mut u, &image)?;
-        Self::add_hooks(&mut u, &image)?;
+        let block_hook = Self::add_hooks(&mut u, &image)?;
         let rtt = Rtt::new(&image)?;
         let mut m = Machine {
+            _block_hook: block_hook,
             uc: u,
             image,
             flash,
@@ -166,6 +174,7 @@ impl Machine {
             next_drain: 0,
             resets: Vec::new(),
             stops: 0,
+            asleep: false,
         };
         m.power_on(None);
         Ok(m)
@@ -215,6 +224,7 @@ impl Machine {
     /// Resets the chip; RAM keeps its contents.
     pub fn reset(&mut self, cause: ResetCause) {
         let now = self.now();
+        self.asleep = false;
         self.drain();
         self.resets.push((now, cause));
         let core = self.uc.get_data_mut();
@@ -308,8 +318,12 @@ impl Machine {
                     return Ok(Event::Time);
                 }
             }
+            if self.asleep {
+                self.asleep = !self.sleep(until);
+                continue;
+            }
             if self.soc().nvic.any_pending()
-                && let Some(n) = due(&self.uc)
+                && let Some(n) = due(&self.uc, &self.soc().nvic)
             {
                 exception::enter(&mut self.uc, n)
                     .map_err(|b| self.lockup(&format!("bad stack {:#010x}", b.0)))?;
@@ -331,7 +345,7 @@ impl Machine {
                     exception::leave(&mut self.uc)
                         .map_err(|b| self.lockup(&format!("bad return {:#010x}", b.0)))?;
                     if self.soc().nvic.sleep_on_exit() && self.soc().ipsr == 0 {
-                        self.sleep(until);
+                        self.asleep = true;
                     }
                 }
                 stop @ (Stop::WaitForEvent | Stop::WaitForInterrupt) => {

@@ -340,9 +340,9 @@ impl Soc {
         set(irq::ADC5, self.adc[4].line());
         set(irq::USB_LP, self.usb.line());
         set(irq::FLASH, self.flash.line());
-        let pvd = self.plain.get(&0x4000_7004).copied().unwrap_or(0) & 1 != 0;
-        let unmasked = self.plain.get(&0x4001_0400).copied().unwrap_or(0) >> 16 & 1 != 0;
-        set(irq::PVD, pvd && unmasked && self.brown);
+        // PWR_CR2.PVDE and EXTI_IMR1.IM16.
+        let plain = |address: u32| self.plain.get(&address).copied().unwrap_or(0);
+        set(irq::PVD, self.brown && plain(0x4000_7004) & plain(0x4001_0400) >> 16 & 1 != 0);
         self.nvic.set_lines(lines);
     }
 

@@ -220,9 +220,9 @@ fn the_tick_fits_its_budget() {
     assert!(hold <= 1_000, "{hold} instructions holding");
     assert!(worst <= 2_000, "{worst} instructions at worst");
     // Sixteen tones on all three axes do not fit into 2000.
-    assert!(tones <= 2_600, "{tones} instructions with multisines");
-    assert!(worst_tones <= 2_800, "{worst_tones} instructions at worst with multisines");
-    assert!(everything <= 3_100, "{everything} instructions with everything there is");
+    assert!(tones <= 2_500, "{tones} instructions with multisines");
+    assert!(worst_tones <= 2_700, "{worst_tones} instructions at worst with multisines");
+    assert!(everything <= 3_000, "{everything} instructions with everything there is");
 }
 
 /// All that the settings allow at once, which is more than the budget is for: multisines on all axes, a gauge map, coupled axes, creep,

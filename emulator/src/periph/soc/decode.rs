@@ -140,7 +140,13 @@ impl Soc {
                 match slot {
                     3 => self.common[pair].write(o & 0xff, value),
                     s => {
-                        self.adc[pair * 2 + s].write(o & 0xff, value, now, &self.common[pair], ahb)
+                        self.adc[pair * 2 + s].write(o & 0xff, value, now, &self.common[pair], ahb);
+                        // ISR: flags are cleared, which moves no event.
+                        if o & 0xff == 0 {
+                            self.lines();
+                            self.attention |= self.nvic.any_pending();
+                            return;
+                        }
                     }
                 }
             }
@@ -148,6 +154,7 @@ impl Soc {
                 if self.dac[(a >> 10 & 1) as usize].write(o, value) {
                     self.drive();
                 }
+                return;
             }
             _ => {
                 self.plain_registers.insert((a, true));
