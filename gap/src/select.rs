@@ -49,6 +49,8 @@ const NEARLY_ALL: f64 = 0.7;
 pub(crate) const WORTH_ABSOLUTE: f64 = 60.0;
 /// The first effect must remove this share of the gap: three of less never make an explanation.
 const WORTH_OF_FIRST: f64 = 0.05;
+/// Share of the gap that the effects which a screen promised leave at most, or the others are fitted as well.
+const MOSTLY_OPEN: f64 = 0.5;
 /// A plainer model may leave this much more than the best one, of what that leaves.
 const AS_LITTLE: f64 = 0.1;
 /// Share of the gain that is needed which a partner must promise by linear prediction to be fitted.
@@ -114,8 +116,14 @@ impl<'a> Search<'a> {
     /// Find the model. `None` when no single effect is worth anything.
     pub fn run(&mut self) -> Result<Option<Model>, Error> {
         let nominal_gains = self.screen.test(self.scene, &self.base, None);
-        let singles = self.shortlist(&nominal_gains, &[], self.breadth.shortlist);
-        for (effect, gains) in singles {
+        let singles = self.shortlist(&nominal_gains, &[], usize::MAX);
+        for (nth, (effect, gains)) in singles.into_iter().enumerate() {
+            // A screen is a straight line, and some effects are not. Where none that it promised accounts for most of the gap, all others
+            // get a chance.
+            let is_open = |best: &Model| best.fit.cost - self.noise > MOSTLY_OPEN * self.gap;
+            if nth >= self.breadth.shortlist && !self.tried.first().is_none_or(is_open) {
+                break;
+            }
             let model = self.fit_terms(&[], effect, &gains)?;
             self.remember(model);
         }
