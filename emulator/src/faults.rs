@@ -1,31 +1,40 @@
 //! Faults on a schedule, as `cargo xtask emulate --fault` asks for them: `gauge-open:2@20-25` is the gauge of axis 2,
 //! broken from 20 s to 25 s of emulated time.
 
+use std::fmt;
 use std::str::FromStr;
 
 use anyhow::{Context, Error, Result, bail, ensure};
+use clap::ValueEnum;
 use flexstage::AXES;
 
 use crate::bench::Bench;
 use crate::board::{AmplifierFault, GaugeFault};
 use crate::time::{Time, from_seconds, milliseconds};
 
-/// What can be broken by name.
-const KINDS: [&str; 8] = [
-    "gauge-open",
-    "gauge-short",
-    "gauge-stuck",
-    "gauge-noisy",
-    "pushed",
-    "amplifier-dead",
-    "amplifier-railed",
-    "monitor-off",
-];
+/// What can be broken, under the name it has on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Kind {
+    GaugeOpen,
+    GaugeShort,
+    GaugeStuck,
+    GaugeNoisy,
+    Pushed,
+    AmplifierDead,
+    AmplifierRailed,
+    MonitorOff,
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        self.to_possible_value().map_or(Ok(()), |name| f.write_str(name.get_name()))
+    }
+}
 
 /// A part that breaks, and when.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScheduledFault {
-    kind: &'static str,
+    kind: Kind,
     /// Axis, from 0.
     axis: usize,
     from: Time,
@@ -44,8 +53,9 @@ impl FromStr for ScheduledFault {
         };
         let (kind, rest) = text.split_once(':').with_context(form)?;
         let (axis, when) = rest.split_once('@').with_context(form)?;
-        let Some(kind) = KINDS.into_iter().find(|known| *known == kind) else {
-            bail!("{kind:?}: expected one of {}", KINDS.join(", "));
+        let Ok(kind) = Kind::from_str(kind, false) else {
+            let known: Vec<String> = Kind::value_variants().iter().map(Kind::to_string).collect();
+            bail!("{kind:?}: expected one of {}", known.join(", "));
         };
         let axis: usize = axis.parse().ok().with_context(form)?;
         ensure!((1..=AXES).contains(&axis), "axis {axis}: expected 1 to {AXES}");
@@ -78,25 +88,17 @@ impl ScheduledFault {
         let mut board = bench.board.0.borrow_mut();
         // A gauge freezes at what it read last, mid-scale before the first sample.
         let frozen = board.newest.map_or(crate::board::TOP_CODE / 2, |tick| tick.gauge[axis]);
-        let gauge = match kind {
-            "gauge-open" => Some(GaugeFault::Open),
-            "gauge-short" => Some(GaugeFault::Short),
-            "gauge-stuck" => Some(GaugeFault::Stuck(frozen)),
-            "gauge-noisy" => Some(GaugeFault::Noisy(5_000)),
-            "pushed" => Some(GaugeFault::Pushed(30.0)),
-            _ => None,
-        };
-        let amplifier = match kind {
-            "amplifier-dead" => Some(AmplifierFault::Dead),
-            "amplifier-railed" => Some(AmplifierFault::Railed(150.0)),
-            "monitor-off" => Some(AmplifierFault::Monitor(40.0)),
-            _ => None,
-        };
-        if gauge.is_some() {
-            board.gauge_fault[axis] = gauge.filter(|_| wanted);
-        }
-        if amplifier.is_some() {
-            board.amplifier_fault[axis] = amplifier.filter(|_| wanted);
+        let board = &mut *board;
+        let (gauge, amplifier) = (&mut board.gauge_fault[axis], &mut board.amplifier_fault[axis]);
+        match kind {
+            Kind::GaugeOpen => *gauge = wanted.then_some(GaugeFault::Open),
+            Kind::GaugeShort => *gauge = wanted.then_some(GaugeFault::Short),
+            Kind::GaugeStuck => *gauge = wanted.then_some(GaugeFault::Stuck(frozen)),
+            Kind::GaugeNoisy => *gauge = wanted.then_some(GaugeFault::Noisy(5_000)),
+            Kind::Pushed => *gauge = wanted.then_some(GaugeFault::Pushed(30.0)),
+            Kind::AmplifierDead => *amplifier = wanted.then_some(AmplifierFault::Dead),
+            Kind::AmplifierRailed => *amplifier = wanted.then_some(AmplifierFault::Railed(150.0)),
+            Kind::MonitorOff => *amplifier = wanted.then_some(AmplifierFault::Monitor(40.0)),
         }
     }
 }
@@ -109,7 +111,7 @@ mod tests {
     fn a_schedule_is_read_as_it_is_written() {
         let fault: ScheduledFault = "gauge-open:2@20-25.5".parse().unwrap();
         let expected = ScheduledFault {
-            kind: "gauge-open",
+            kind: Kind::GaugeOpen,
             axis: 1,
             from: from_seconds(20.0),
             to: Some(from_seconds(25.5)),

@@ -80,11 +80,10 @@ fn main() -> Result<()> {
             println!("serving the board's USB endpoints on {}", server.address);
             serve(&mut bench, server, end, speed, &mut cli.faults)?;
         }
-        None if cli.faults.is_empty() => bench.run_for(end)?,
         None => {
             while bench.now() < end {
                 cli.faults.iter_mut().for_each(|fault| fault.follow(&bench));
-                bench.run_for(MILLISECOND)?;
+                bench.run_for(MILLISECOND.min(end - bench.now()))?;
             }
         }
     }

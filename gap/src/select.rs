@@ -120,8 +120,8 @@ impl<'a> Search<'a> {
         for (nth, (effect, gains)) in singles.into_iter().enumerate() {
             // A screen is a straight line, and some effects are not. Where none that it promised accounts for most of the gap, all others
             // get a chance.
-            let is_open = |best: &Model| best.fit.cost - self.noise > MOSTLY_OPEN * self.gap;
-            if nth >= self.breadth.shortlist && !self.tried.first().is_none_or(is_open) {
+            let is_closed = |best: &Model| best.fit.cost - self.noise <= MOSTLY_OPEN * self.gap;
+            if nth >= self.breadth.shortlist && self.tried.first().is_some_and(is_closed) {
                 break;
             }
             let model = self.fit_terms(&[], effect, &gains)?;

@@ -1,0 +1,127 @@
+//! What the guard takes for a fault of a gauge or of the motion, and what it forgives.
+
+mod common;
+
+use common::Bench;
+use flexstage::settings::AxisSettings;
+use flexstage::{Command, Faults, Generator, GeneratorSettings, Sample, Settings, State, Table};
+
+/// A stage that follows to 1 nm or so, without a model or feedback that would answer the faults of a gauge.
+fn armed(following_error_um: f32) -> Bench {
+    let mut settings = Settings::default();
+    for axis in &mut settings.axes {
+        *axis = AxisSettings::open_loop(7.52);
+        axis.limits.following_error_um = following_error_um;
+    }
+    let mut bench = Bench::new(&settings, 7.52);
+    bench.arm();
+    bench
+}
+
+/// At rest at 5 um.
+fn holding() -> Bench {
+    let mut bench = armed(1.0);
+    go_to(&mut bench, 5.0);
+    for _ in 0..3_000 {
+        bench.tick();
+    }
+    assert_eq!(bench.controller.faults(), Faults::NONE);
+    bench
+}
+
+fn go_to(bench: &mut Bench, position_um: f32) {
+    let generator =
+        Generator::build(&GeneratorSettings::Hold { position_um, blend_s: 0.1 }).unwrap();
+    for axis in 0..3 {
+        bench.controller.command(&bench.config, Command::Stage { axis, generator }).unwrap();
+    }
+    bench.controller.command(&bench.config, Command::Start { axes: 7 }).unwrap();
+}
+
+/// One tick with the gauges `um` off.
+fn glitch(bench: &mut Bench, um: f64) {
+    bench.disturbance_um = um;
+    bench.tick();
+    bench.disturbance_um = 0.0;
+}
+
+#[test]
+fn a_loose_connector_is_found_between_good_samples() {
+    let mut bench = holding();
+    let mut ticks = 0;
+    while bench.controller.faults().is_empty() {
+        glitch(&mut bench, 5.0);
+        for _ in 0..5 {
+            bench.tick();
+        }
+        ticks += 6;
+        assert!(ticks < 60, "two jumps in every six ticks for {ticks} ticks");
+    }
+    assert_eq!(bench.controller.faults(), Faults::DISCONNECTED);
+    assert!(ticks > 12, "not from two glitches alone");
+}
+
+#[test]
+fn seldom_glitches_are_forgiven() {
+    let mut bench = holding();
+    for _ in 0..20 {
+        glitch(&mut bench, 5.0);
+        for _ in 0..100 {
+            bench.tick();
+        }
+    }
+    assert_eq!(bench.controller.faults(), Faults::NONE);
+    assert_eq!(bench.controller.state(), State::Hold);
+}
+
+/// Ticks with the code of one gauge frozen at what it is, until a fault or for `ticks`.
+fn frozen(bench: &mut Bench, ticks: usize) -> Faults {
+    let held = bench.config.gauge_code(1, bench.drive_v[1] / 7.52);
+    for _ in 0..ticks {
+        let drive_v = bench.drive_v;
+        let mut gauge = std::array::from_fn(|a| bench.config.gauge_code(a, drive_v[a] / 7.52));
+        gauge[1] = held;
+        let monitor = std::array::from_fn(|a| bench.config.monitor_code(a, drive_v[a]));
+        let sample = Sample { gauge, monitor, overrun: false };
+        let record = bench.controller.tick(&bench.config, &Table::EMPTY, &sample);
+        bench.drive_v = record.axes.map(|axis| axis.drive.to_f64());
+        if !bench.controller.faults().is_empty() {
+            break;
+        }
+    }
+    bench.controller.faults()
+}
+
+#[test]
+fn a_gauge_is_stuck_only_where_its_drive_moves() {
+    // The following error is not watched: it would be found first.
+    let mut bench = armed(0.0);
+    assert_eq!(frozen(&mut bench, 5_000), Faults::NONE, "at rest");
+    go_to(&mut bench, 2.0);
+    assert_eq!(frozen(&mut bench, 5_000), Faults::NONE, "15 V are less than 20");
+    go_to(&mut bench, 8.0);
+    assert_eq!(frozen(&mut bench, 5_000), Faults::STUCK, "60 V are more");
+}
+
+#[test]
+fn a_lasting_error_of_the_motion_is_a_fault_and_a_short_one_is_not() {
+    let mut bench = holding();
+    let lasting = Settings::default().axes[0].limits.following_error_s;
+    let ticks = (f64::from(lasting) * 10_000.0) as usize;
+    assert!(ticks > 10);
+    // A slow push, which is no jump of the gauge.
+    let push = |bench: &mut Bench, for_ticks: usize| {
+        for tick in 0..for_ticks + 20 {
+            bench.disturbance_um = (0.1 * tick.min(20) as f64).min(2.0);
+            bench.tick();
+        }
+        bench.disturbance_um = 1.0;
+        bench.tick();
+        bench.disturbance_um = 0.0;
+        bench.tick();
+    };
+    push(&mut bench, ticks / 2);
+    assert_eq!(bench.controller.faults(), Faults::NONE);
+    push(&mut bench, 2 * ticks);
+    assert_eq!(bench.controller.faults(), Faults::FOLLOWING_ERROR);
+}
