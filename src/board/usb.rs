@@ -2,7 +2,8 @@
 //!
 //! # Design
 //! RM0440 section 45, through embassy-usb. No driver is needed: Microsoft OS 2.0 descriptors bind WinUSB, Linux and macOS give the
-//! interface to any program. Four futures share one task on an interrupt executor below the tick and above everything else:
+//! interface to any program. Four tasks share an interrupt executor below the tick and above everything else; each is polled only when
+//! it has something to do:
 //!
 //! - the device itself (enumeration, resets),
 //! - the pump: every millisecond it packs the records of the tick into frames, in a ring of [`FRAMES_IN_RING`] ([`RING_MS`] of packed
@@ -15,7 +16,7 @@
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use embassy_futures::join::join4;
+use embassy_executor::Spawner;
 use embassy_futures::select::{Either, select};
 use embassy_stm32::peripherals::{PA11, PA12, USB};
 use embassy_stm32::{Peri, bind_interrupts, usb};
@@ -109,9 +110,9 @@ pub async fn run(
     records: Consumer,
     board: Board,
 ) {
-    static CONFIG_DESCRIPTOR: StaticCell<[u8; 64]> = StaticCell::new();
-    static BOS_DESCRIPTOR: StaticCell<[u8; 64]> = StaticCell::new();
-    static MSOS_DESCRIPTOR: StaticCell<[u8; 256]> = StaticCell::new();
+    static CONFIG_DESCRIPTOR: StaticCell<[u8; 40]> = StaticCell::new();
+    static BOS_DESCRIPTOR: StaticCell<[u8; 40]> = StaticCell::new();
+    static MSOS_DESCRIPTOR: StaticCell<[u8; 192]> = StaticCell::new();
     static CONTROL: StaticCell<[u8; 64]> = StaticCell::new();
     static WATCHER: StaticCell<Watcher> = StaticCell::new();
     static RING: StaticCell<[StreamFrame; FRAMES_IN_RING]> = StaticCell::new();
@@ -125,9 +126,9 @@ pub async fn run(
     let mut builder = Builder::new(
         driver,
         config(),
-        CONFIG_DESCRIPTOR.init_with(|| [0; 64]),
-        BOS_DESCRIPTOR.init_with(|| [0; 64]),
-        MSOS_DESCRIPTOR.init_with(|| [0; 256]),
+        CONFIG_DESCRIPTOR.init_with(|| [0; 40]),
+        BOS_DESCRIPTOR.init_with(|| [0; 40]),
+        MSOS_DESCRIPTOR.init_with(|| [0; 192]),
         CONTROL.init_with(|| [0; 64]),
     );
     builder.handler(WATCHER.init(Watcher));
@@ -156,13 +157,22 @@ pub async fn run(
     let (frames_in, frames_out) = RING_CHANNEL.init_with(|| Channel::new(ring)).split();
     let reply = REPLY.init_with(|| [const { ReplyFrame::EMPTY }; 1]);
     let (replies_in, replies_out) = REPLY_CHANNEL.init_with(|| Channel::new(reply)).split();
-    join4(
-        device.run(),
+    // SAFETY: only embassy's executor polls this task. The ends of the rings, which it hands to the others, must not leave the
+    // interrupt that runs them all.
+    let tasks = unsafe { Spawner::for_current_executor().await };
+    match (
         pump(records, frames_in),
         write(input, frames_out, replies_out),
         read(output, board, replies_in),
-    )
-    .await;
+    ) {
+        (Ok(pump), Ok(write), Ok(read)) => {
+            tasks.spawn(pump);
+            tasks.spawn(write);
+            tasks.spawn(read);
+        }
+        _ => defmt::error!("the USB tasks could not start"),
+    }
+    device.run().await;
 }
 
 fn config() -> Config<'static> {
@@ -181,6 +191,7 @@ fn config() -> Config<'static> {
 }
 
 /// Records to frames.
+#[embassy_executor::task]
 async fn pump(mut records: Consumer, mut ring: Sender<'static, NoopRawMutex, StreamFrame>) {
     let mut packer =
         Packer { sequence: 0, tick_high: 0, tick_low: 0, lost_before: 0, before: None };
@@ -301,8 +312,9 @@ impl Packer {
 }
 
 /// Frames and replies to the host, replies first.
+#[embassy_executor::task]
 async fn write(
-    mut endpoint: <Driver as embassy_usb::driver::Driver<'static>>::EndpointIn,
+    mut endpoint: usb::Endpoint<'static, USB, usb::In>,
     mut frames: Receiver<'static, NoopRawMutex, StreamFrame>,
     mut replies: Receiver<'static, NoopRawMutex, ReplyFrame>,
 ) {
@@ -330,8 +342,9 @@ async fn write(
 }
 
 /// Commands from the host.
+#[embassy_executor::task]
 async fn read(
-    mut endpoint: <Driver as embassy_usb::driver::Driver<'static>>::EndpointOut,
+    mut endpoint: usb::Endpoint<'static, USB, usb::Out>,
     mut board: Board,
     mut replies: Sender<'static, NoopRawMutex, ReplyFrame>,
 ) {

@@ -37,10 +37,7 @@ extern "C" fn block(_: *mut uc_engine, address: u64, size: u32, hook: *mut c_voi
     {
         return;
     }
-    // SAFETY: it lies in the engine that calls this, at the same place as long as that lives; nobody holds a reference to it
-    // while translated code runs.
-    let core = unsafe { &mut *hook.core };
-    look(core, &mut hook.engine.clone(), address, size);
+    look(hook, address, size);
 }
 
 impl Machine {
@@ -112,8 +109,15 @@ impl Machine {
     }
 }
 
-/// Before a block at which something may be due: leaves translated code, or charges the block.
-fn look(core: &mut Core, u: &mut Unicorn<'_, ()>, address: u32, size: u32) {
+/// Before a block at which something may be due: leaves translated code, or charges the block. Not inlined, so that the hook itself
+/// has no registers to save.
+#[cold]
+#[inline(never)]
+fn look(hook: &BlockHook, address: u32, size: u32) {
+    // SAFETY: it lies in the engine that calls this, at the same place as long as that lives; nobody holds a reference to it
+    // while translated code runs.
+    let core = unsafe { &mut *hook.core };
+    let mut u = hook.engine.clone();
     core.settle();
     let soc = &mut core.soc;
     if soc.now >= soc.deadline {
@@ -121,7 +125,7 @@ fn look(core: &mut Core, u: &mut Unicorn<'_, ()>, address: u32, size: u32) {
     }
     if soc.attention {
         let out = soc.wants_out()
-            || soc.nvic.next_exception(IDLE).is_some() && due(u, &soc.nvic).is_some();
+            || soc.nvic.next_exception(IDLE).is_some() && due(&u, &soc.nvic).is_some();
         if out {
             core.stop = Stop::Attention;
             let _ = u.emu_stop();
