@@ -37,9 +37,16 @@ pub(crate) fn causes_of(
     for (t, term) in model.terms.iter().enumerate() {
         let reduced = model.without(rig, t, |_| true)?;
         let raw = scene.raw(&reduced, everything)?;
-        let energies = Energies::new(scene, &raw, raw_after, &everything);
-        let (without, with) = energies.excess();
-        let per_axis = energies.gap(axes).per_axis;
+        let per_axis = Energies::new(scene, &raw, raw_after, &everything).gap(axes).per_axis;
+        // The mean of what it closes as the first cause and as the last one, which is all orders of two (Shapley 1953).
+        let left = |rig: &Rig| -> Result<f64, Error> {
+            let raw = scene.raw(rig, everything)?;
+            let energy = Energies::new(scene, &raw, raw_after, &everything).excess().0;
+            Ok(energy.clamp(full.1, full.0.max(full.1)))
+        };
+        let first = full.0 - left(&found.apart[t].alone)?;
+        let last = left(&found.apart[t].without)? - full.1;
+        let closed = 0.5 * (first + last);
         claimed.push(
             (0..axes)
                 .map(|axis| {
@@ -94,7 +101,7 @@ pub(crate) fn causes_of(
             },
             stage: info.stage.name().into(),
             axes: term.axes().iter().map(|a| a + 1).collect(),
-            closes: if full.0 > 0.0 { ((without - with) / full.0).clamp(0.0, 1.0) } else { 0.0 },
+            closes: if full.0 > 0.0 { (closed / full.0).clamp(0.0, 1.0) } else { 0.0 },
             parameters,
             confidence: found.standings.causes[t].confidence,
             indistinguishable_from: found.standings.causes[t].rivals.clone(),

@@ -36,6 +36,7 @@ pub mod screen;
 pub mod select;
 mod slow;
 pub mod split;
+mod threshold;
 mod trade;
 
 pub use control::{ForControl, for_control};

@@ -88,10 +88,19 @@ impl Model {
         term: usize,
         drop: impl Fn(Place) -> bool,
     ) -> Result<Rig, Error> {
+        self.keeping(nominal, |t, place| t != term || !drop(place))
+    }
+
+    /// The rig with those effects of this model that `keep` picks by their number.
+    pub fn with(&self, nominal: &Rig, keep: impl Fn(usize) -> bool) -> Result<Rig, Error> {
+        self.keeping(nominal, |t, _| keep(t))
+    }
+
+    fn keeping(&self, nominal: &Rig, keep: impl Fn(usize, Place) -> bool) -> Result<Rig, Error> {
         let mut rig = nominal.clone();
         for (t, this) in self.terms.iter().enumerate() {
             for (p, &place) in this.places.iter().enumerate() {
-                if t == term && drop(place) {
+                if !keep(t, place) {
                     continue;
                 }
                 for (knob, &value) in

@@ -7,11 +7,13 @@ use crate::Error;
 use crate::fit::Effort;
 use crate::knobs::axes_seen;
 use crate::model::{Model, Term};
-use crate::scene::{Wanted, dot};
+use crate::scene::{Channel, Wanted, dot};
 use crate::select::{Search, WORTH_ABSOLUTE, WORTH_OF_GAP};
 
 /// A place of an effect must be worth this much cost to stay.
 pub(crate) const WORTH_OF_PLACE: f64 = 40.0;
+/// ... and this share of what is left on its axis. Less is what the form of another effect there leaves.
+const WORTH_OF_LEFT: f64 = 0.1;
 
 impl Search<'_> {
     /// Take out terms and places that the model does not need, and fit the rest again.
@@ -28,7 +30,10 @@ impl Search<'_> {
                 let top = worth[t].iter().copied().fold(0.0, f64::max);
                 let mut places = Vec::new();
                 for (p, &place) in term.places.iter().enumerate() {
-                    let needed = worth[t][p] > WORTH_OF_PLACE.max(0.004 * top);
+                    let left =
+                        if term.places.len() > 1 { self.left_at(&model, t, place) } else { 0.0 };
+                    let needed =
+                        worth[t][p] > WORTH_OF_PLACE.max(0.004 * top).max(WORTH_OF_LEFT * left);
                     let term_needed =
                         noticed[t] && total > WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap);
                     if needed && term_needed {
@@ -47,6 +52,17 @@ impl Search<'_> {
             }
             model = self.fit_model(kept_terms, start, Effort { iterations: 4, ..self.effort() })?;
         }
+    }
+
+    /// Cost beyond noise that a model leaves on the axes where one of its terms acts at a place.
+    fn left_at(&self, model: &Model, term: usize, place: Place) -> f64 {
+        let axes = axes_seen(self.nominal, model.terms[term].effect, place);
+        let rows = model.fit.stack.iter().zip(&self.scene.channels);
+        let left = |(row, channel): (&Option<Vec<f32>>, &Channel)| {
+            let row = row.as_ref().filter(|_| axes >> channel.axis & 1 == 1)?;
+            Some(dot(row, row) - channel.noise_cost())
+        };
+        rows.filter_map(left).sum()
     }
 
     /// Whether each effect takes off what by itself would count as a gap. With long recordings far less is significant: what another

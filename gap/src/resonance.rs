@@ -20,7 +20,7 @@ const TELLING: f64 = 0.8;
 
 impl Search<'_> {
     /// Start values of `effect` at `places`, one set a place, moved to the frequencies that suit the session best beside the
-    /// `known` terms. Effects without a resonance stay as they are.
+    /// `known` terms, or within the reach of a threshold. Effects with neither stay as they are.
     pub(crate) fn tuned(
         &self,
         known: &[(Term, Vec<f64>)],
@@ -40,6 +40,9 @@ impl Search<'_> {
                 values[1] *= ratio;
                 values
             },
+            _ if effect.info().threshold => {
+                return self.within_threshold(known, effect, places, starts);
+            }
             _ => return Ok(starts),
         };
         let mass_kg = self.ranges.mass_kg;

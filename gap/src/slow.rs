@@ -14,7 +14,7 @@ use crate::accept;
 use crate::ambiguity;
 use crate::diagnosis::Band;
 use crate::floor::Kind;
-use crate::found::{Found, refit};
+use crate::found::{Found, apart, refit};
 use crate::guess::Ranges;
 use crate::knobs::EffectRef;
 use crate::pyramid::{MOST_LEFT_OUT, low_pass, share_kept};
@@ -55,9 +55,11 @@ pub(crate) fn cross_axis(
         }
         let standings = ambiguity::standings(&search, &model);
         let whole = refit(&slow, rig, &model, ranges)?;
+        let apart = apart(&search, &model)?;
         return Ok(Some(Found {
             model,
             whole,
+            apart,
             standings,
             tried: Vec::new(),
             missed: Vec::new(),

@@ -88,6 +88,24 @@ fn clipping_stands_at_one_voltage() {
 }
 
 #[test]
+fn clipping_ahead_of_the_lag_is_what_the_output_tends_to() {
+    // A step to 90 V, one time constant (0.8 ms) after it: 70 V is all that is aimed at, or all that comes out.
+    let step = |t: f64| if t < 0.05 { 0.0 } else { 90.0 };
+    let clip = [("max_v", 70.0), ("softness_v", 1e-3)];
+    let after = |ahead: f64, ticks: usize| {
+        let rig = single("amplifier-clipping", &[clip[0], clip[1], ("ahead", ahead)]);
+        run(&rig, 1e4, 0.1, step).monitor_v[0][500 + ticks]
+    };
+    let plain = |ticks: usize| run(&one_axis(), 1e4, 0.1, step).monitor_v[0][500 + ticks] / 90.0;
+    for ticks in [2, 8, 14] {
+        assert!((after(1.0, ticks) - 70.0 * plain(ticks)).abs() < 1e-6, "before the lag");
+        let out = (90.0 * plain(ticks)).min(70.0);
+        assert!((after(0.0, ticks) - out).abs() < 1e-3, "behind the lag");
+    }
+    assert!((after(1.0, 300) - 70.0).abs() < 1e-3 && (after(0.0, 300) - 70.0).abs() < 1e-3);
+}
+
+#[test]
 fn hum_follows_the_clock_of_the_session() {
     for (name, amplitude) in [("amplifier-hum", 0.5), ("sensor-hum", 2e-8)] {
         let unit = if name == "sensor-hum" { "m" } else { "v" };

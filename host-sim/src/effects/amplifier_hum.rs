@@ -2,7 +2,7 @@
 
 use super::hum::{self, Hum};
 use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
-use crate::stages::model::{Model, OutputBlock};
+use crate::stages::model::{Model, VoltageBlock};
 
 pub(super) struct AmplifierHum;
 
@@ -26,7 +26,7 @@ static INFO: Info = Info {
     confused_with: &["sensor-hum"],
 };
 
-impl OutputBlock for Hum {
+impl VoltageBlock for Hum {
     fn output(&mut self, v: f64, time_s: f64) -> f64 {
         v + self.at(time_s)
     }

@@ -1,10 +1,10 @@
-//! Amplifier of one axis: drive errors, dead time, first order towards a held target, slew limit, rails, and what
-//! sits at its output. Exact between ticks; no sub-steps.
+//! Amplifier of one axis: drive errors, dead time, what sits at its input, first order towards a held target, slew limit,
+//! rails, and what sits at its output. Exact between ticks; no sub-steps.
 
 use std::collections::VecDeque;
 
 use super::axis::Load;
-use super::model::{AmplifierModel, DriveModel, OutputBlock, SlewLimit};
+use super::model::{AmplifierModel, DriveModel, SlewLimit, VoltageBlock};
 
 /// State and parameters of one amplifier.
 pub struct AmplifierSim {
@@ -20,7 +20,8 @@ pub struct AmplifierSim {
     min_v: f64,
     max_v: f64,
     slew: Option<Box<dyn SlewLimit>>,
-    output: Vec<Box<dyn OutputBlock>>,
+    input: Vec<Box<dyn VoltageBlock>>,
+    output: Vec<Box<dyn VoltageBlock>>,
     state_v: f64,
     plain: bool,
 }
@@ -39,6 +40,11 @@ impl Segment {
     }
 }
 
+/// `v` behind all of `blocks`.
+fn passed(blocks: &mut [Box<dyn VoltageBlock>], v: f64, time_s: f64) -> f64 {
+    blocks.iter_mut().fold(v, |v, block| block.output(v, time_s))
+}
+
 impl AmplifierSim {
     /// Build for a tick of `step_s`.
     pub fn new(drive: DriveModel, amplifier: AmplifierModel, step_s: f64) -> Self {
@@ -47,7 +53,10 @@ impl AmplifierSim {
         let fraction = delay_ticks - delay_ticks.floor();
         let tau = amplifier.time_constant_s;
         Self {
-            plain: amplifier.slew.is_none() && amplifier.output.is_empty() && delay_ticks == 0.0,
+            plain: amplifier.slew.is_none()
+                && amplifier.input.is_empty()
+                && amplifier.output.is_empty()
+                && delay_ticks == 0.0,
             gain: drive.gain,
             offset_v: drive.offset_v,
             crosstalk: drive.crosstalk,
@@ -59,6 +68,7 @@ impl AmplifierSim {
             min_v: amplifier.min_v,
             max_v: amplifier.max_v,
             slew: amplifier.slew,
+            input: amplifier.input,
             output: amplifier.output,
             state_v: 0.0,
         }
@@ -90,11 +100,7 @@ impl AmplifierSim {
 
     /// Output voltage now, V.
     pub fn output_v(&mut self, time_s: f64) -> f64 {
-        let mut v = self.state_v;
-        for block in &mut self.output {
-            v = block.output(v, time_s);
-        }
-        v
+        passed(&mut self.output, self.state_v, time_s)
     }
 
     /// Hold a target to the next tick (at `time_s`): the output there. `load` is what the stack shows it.
@@ -108,12 +114,14 @@ impl AmplifierSim {
         self.advance_in_parts(target_v, load, time_s)
     }
 
-    /// With dead time, slew limit or something at the output.
+    /// With dead time, slew limit or something at the input or the output.
     #[inline(never)]
     fn advance_in_parts(&mut self, target_v: f64, load: Load, time_s: f64) -> f64 {
         self.pipeline.push_back(target_v);
         let early_target = self.pipeline.pop_front().unwrap_or(target_v);
         let late_target = self.pipeline.front().copied().unwrap_or(target_v);
+        let [early_target, late_target] =
+            [early_target, late_target].map(|v| passed(&mut self.input, v, time_s));
         let limits = self.slew.as_ref().map(|slew| slew.limits_v_per_s(load.capacitance_f()));
         if self.early.length_s > 0.0 {
             self.segment(early_target, self.early, limits);

@@ -50,7 +50,7 @@ pub struct DriveModel {
     pub crosstalk: Vec<(usize, f64)>,
 }
 
-/// Amplifier: first order, slew limit, rails, blocks at the output in the order of the list.
+/// Amplifier: blocks at the input, first order, slew limit, rails, blocks at the output, in the order of the lists.
 pub struct AmplifierModel {
     /// Time constant, s.
     pub time_constant_s: f64,
@@ -60,8 +60,10 @@ pub struct AmplifierModel {
     pub max_v: f64,
     /// Limit on the slope.
     pub slew: Option<Box<dyn SlewLimit>>,
+    /// What the voltage asked for passes before the first order.
+    pub input: Vec<Box<dyn VoltageBlock>>,
     /// What sits at the output; the monitor is behind it.
-    pub output: Vec<Box<dyn OutputBlock>>,
+    pub output: Vec<Box<dyn VoltageBlock>>,
 }
 
 /// Current at which a loss that goes with a power of the current is stated, A: that of a slow triangle.
@@ -132,8 +134,8 @@ pub trait SlewLimit: Send {
     fn limits_v_per_s(&self, stack_f: f64) -> (f64, f64);
 }
 
-/// Something at the output of the amplifier.
-pub trait OutputBlock: Send {
+/// Something at the input or the output of the amplifier.
+pub trait VoltageBlock: Send {
     /// Output for an input of `v` volts at session time `time_s`.
     fn output(&mut self, v: f64, time_s: f64) -> f64;
 }
@@ -205,6 +207,7 @@ impl AxisModel {
                 min_v: axis.amplifier.min_v,
                 max_v: axis.amplifier.max_v,
                 slew: None,
+                input: Vec::new(),
                 output: Vec::new(),
             },
             piezo: PiezoModel {
