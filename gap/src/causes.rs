@@ -6,7 +6,7 @@ use crate::Error;
 use crate::ambiguity::place_words;
 use crate::diagnosis::{Cause, CauseKind, Parameter};
 use crate::energy::Energies;
-use crate::found::Found;
+use crate::found::{Apart, Found};
 use crate::knobs::knobs_at;
 use crate::scene::{Channel, Scene, Stack};
 use crate::select::noise_cost;
@@ -37,16 +37,14 @@ pub(crate) fn causes_of(
     for (t, term) in model.terms.iter().enumerate() {
         let reduced = model.without(rig, t, |_| true)?;
         let raw = scene.raw(&reduced, everything)?;
-        let per_axis = Energies::new(scene, &raw, raw_after, &everything).gap(axes).per_axis;
-        // The mean of what it closes as the first cause and as the last one, which is all orders of two (Shapley 1953).
-        let left = |rig: &Rig| -> Result<f64, Error> {
-            let raw = scene.raw(rig, everything)?;
-            let energy = Energies::new(scene, &raw, raw_after, &everything).excess().0;
-            Ok(energy.clamp(full.1, full.0.max(full.1)))
+        let energies = Energies::new(scene, &raw, raw_after, &everything);
+        let per_axis = energies.gap(axes).per_axis;
+        let without = energies.excess().0;
+        let closed = if without > full.0 {
+            closed_between(scene, &found.apart[t], raw_after, full)?
+        } else {
+            without - full.1
         };
-        let first = full.0 - left(&found.apart[t].alone)?;
-        let last = left(&found.apart[t].without)? - full.1;
-        let closed = 0.5 * (first + last);
         claimed.push(
             (0..axes)
                 .map(|axis| {
@@ -129,6 +127,26 @@ pub(crate) fn causes_of(
         stairs.push((format!("{} ({place})", model.terms[t].name()), nm));
     }
     Ok((causes, claimed, stairs))
+}
+
+/// Energy that an effect closes where the others without it are worse than no model at all: they trim each other, and taking one out
+/// would credit it with what the other did. The mean of what it closes as the first cause and as the last one, the others fitted
+/// accordingly, which is all orders of two (Shapley 1953). `full`: energy of the gap, and what the whole model leaves of it.
+fn closed_between(
+    scene: &Scene,
+    apart: &Apart,
+    raw_after: &Stack,
+    full: (f64, f64),
+) -> Result<f64, Error> {
+    let (gap, rest) = full;
+    let everything = |_: &Channel| true;
+    let left = |rig: &Rig| -> Result<f64, Error> {
+        let raw = scene.raw(rig, everything)?;
+        let energy = Energies::new(scene, &raw, raw_after, &everything).excess().0;
+        Ok(energy.clamp(rest, gap.max(rest)))
+    };
+    let (first, last) = (gap - left(&apart.alone)?, left(&apart.without)? - rest);
+    Ok(0.5 * (first + last))
 }
 
 fn samples_of_axis(scene: &Scene, axis: usize) -> f64 {
