@@ -1,7 +1,8 @@
 //! Where the gap lies, before anything is named: axis, band, level, direction, time since the last step, stage.
 //!
 //! Energies are those of the nominal residual beyond noise. The stage is decided by what each further measurement explains: the monitor
-//! (drive and amplifier against the rest), motion of the drive (environment and a restless gauge need none), and in the end by the accepted causes.
+//! (drive and amplifier against the rest), motion of the drive (environment and a restless gauge need none), jumps that no motion can make
+//! (the gauge), and in the end by the accepted causes.
 
 use std::collections::BTreeMap;
 
@@ -154,6 +155,54 @@ fn rest_against_drive(scene: &Scene, raw: &Stack, axis: usize) -> (f64, f64) {
     (rms(rest), rms(driven))
 }
 
+/// Jumps of a reading that are no accident.
+const SOME_JUMPS: usize = 3;
+/// Noise (standard deviations) that a jump from sample to sample must exceed: 5.7 of the difference of two samples.
+const BEYOND_NOISE: f64 = 8.0;
+/// ... and how many times the fastest motion that the rig has according to its model, about then.
+const BEYOND_MOTION: f64 = 3.0;
+/// Samples in which the fastest motion is looked for; those of the blocks before and after count too.
+const ABOUT_THEN: usize = 32;
+
+/// How often the reading of an axis jumps from one sample to the next by more than the stage can move: a loose contact, a bit that
+/// sticks, a reading that freezes and comes back. Whatever is wrong with amplifier, stack or mechanism, the stage has to travel.
+fn reading_jumps(scene: &Scene, raw: &Stack, axis: usize) -> usize {
+    let mut jumps = 0;
+    for (c, channel) in scene.channels.iter().enumerate() {
+        let (Kind::Position, Some(row)) = (channel.kind, &raw[c]) else { continue };
+        let track = &scene.tracks[channel.track];
+        let Some(position) = track.position_um[axis].as_ref().filter(|_| channel.axis == axis)
+        else {
+            continue;
+        };
+        let is_whole = |k: usize| track.present[channel.range.start + k];
+        let measured: Vec<f64> = position[channel.range.clone()]
+            .iter()
+            .map(|&um| f64::from(um) / channel.sigma)
+            .collect();
+        let travel: Vec<f64> = (1..row.len())
+            .map(|k| {
+                let simulated = |k: usize| measured[k] - f64::from(row[k]);
+                (simulated(k) - simulated(k - 1)).abs()
+            })
+            .collect();
+        let fastest: Vec<f64> = travel
+            .chunks(ABOUT_THEN)
+            .map(|block| block.iter().copied().fold(0.0, f64::max))
+            .collect();
+        jumps += (1..row.len())
+            .filter(|&k| is_whole(k) && is_whole(k - 1))
+            .filter(|&k| {
+                let block = (k - 1) / ABOUT_THEN;
+                let about = &fastest[block.saturating_sub(1)..(block + 2).min(fastest.len())];
+                let motion = about.iter().copied().fold(0.0, f64::max);
+                (measured[k] - measured[k - 1]).abs() > BEYOND_NOISE + BEYOND_MOTION * motion
+            })
+            .count();
+    }
+    jumps
+}
+
 /// Stage of what no cause accounts for, axis by axis.
 fn leftover_stage(
     scene: &Scene,
@@ -171,6 +220,9 @@ fn leftover_stage(
             r > 0.5 * rest
         });
         return if others { "environment" } else { "sensor" };
+    }
+    if reading_jumps(scene, raw, axis) >= SOME_JUMPS {
+        return "sensor";
     }
     // Slow and fast halves of the driven gap: a stack loses memory at all speeds, a mechanism at its own.
     let (mut slow, mut fast) = (0.0, 0.0);
