@@ -125,3 +125,53 @@ fn a_lasting_error_of_the_motion_is_a_fault_and_a_short_one_is_not() {
     push(&mut bench, 2 * ticks);
     assert_eq!(bench.controller.faults(), Faults::FOLLOWING_ERROR);
 }
+
+/// Ticks, at 0.1 um a tick, until the gauges are `um` off.
+fn push_to(bench: &mut Bench, um: f64) {
+    while (bench.disturbance_um - um).abs() > 0.05 {
+        bench.disturbance_um += 0.1_f64.copysign(um - bench.disturbance_um);
+        bench.tick();
+    }
+}
+
+#[test]
+fn over_travel_counts_where_it_lasts_and_while_the_loop_is_active() {
+    // The following error is not watched: it would be found first.
+    let lowest = -1.5;
+    let armed = || {
+        let mut settings = Settings::default();
+        for axis in &mut settings.axes {
+            *axis = AxisSettings::open_loop(7.52);
+            axis.limits.following_error_um = 0.0;
+            (axis.limits.min_um, axis.limits.travel_margin_um) = (-1.0, 0.5);
+        }
+        let mut bench = Bench::new(&settings, 7.52);
+        bench.arm();
+        bench
+    };
+    let mut bench = armed();
+    push_to(&mut bench, lowest - 0.5);
+    let mut lasting = 0;
+    while bench.controller.faults().is_empty() {
+        bench.tick();
+        lasting += 1;
+        assert!(lasting < 10_000, "never found");
+    }
+    assert_eq!(bench.controller.faults(), Faults::TRAVEL);
+    // In and out again does not add up.
+    let mut bench = armed();
+    for _ in 0..2 * lasting {
+        push_to(&mut bench, lowest - 0.1);
+        push_to(&mut bench, lowest + 0.5);
+    }
+    assert_eq!(bench.controller.faults(), Faults::NONE);
+    // A parked stage may be moved by hand.
+    let mut bench = armed();
+    bench.controller.command(&bench.config, Command::Disarm).unwrap();
+    while !bench.tick().flags.is_parked() {}
+    push_to(&mut bench, lowest - 0.5);
+    for _ in 0..20 * lasting {
+        bench.tick();
+    }
+    assert_eq!(bench.controller.faults(), Faults::NONE);
+}
