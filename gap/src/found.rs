@@ -73,7 +73,7 @@ pub(crate) fn search(
 pub(crate) struct Apart {
     /// The rig of the best model with this effect alone.
     pub alone: Rig,
-    /// The rig of the best model without it, the others fitted again.
+    /// The rig of the best model without it.
     pub without: Rig,
 }
 
@@ -323,9 +323,13 @@ fn restrict(rig: &Rig, found: &mut Found, trusted: &[bool], loud: &[bool]) -> Re
         model.fit.values = values;
         model.terms = terms;
     }
-    let mut each = kept.iter();
-    found.standings.causes.retain(|_| each.next().is_some_and(|keep| *keep));
-    let mut each = kept.iter();
-    found.apart.retain(|_| each.next().is_some_and(|keep| *keep));
+    keep_marked(&mut found.standings.causes, &kept);
+    keep_marked(&mut found.apart, &kept);
     Ok(())
+}
+
+/// Keep those of `items` that are marked, one mark each.
+fn keep_marked<T>(items: &mut Vec<T>, marks: &[bool]) {
+    let mut marks = marks.iter();
+    items.retain(|_| marks.next().is_some_and(|mark| *mark));
 }
