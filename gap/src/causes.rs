@@ -9,7 +9,6 @@ use crate::energy::Energies;
 use crate::found::{Apart, Found};
 use crate::knobs::knobs_at;
 use crate::scene::{Channel, Scene, Stack};
-use crate::select::noise_cost;
 
 /// Causes, the energy that each claims on each axis (nm^2 times samples), and the gap (nm, held out) after each is added.
 pub(crate) type CauseList = (Vec<Cause>, Vec<Vec<f64>>, Vec<(String, f64)>);
@@ -31,7 +30,7 @@ pub(crate) fn causes_of(
     let full = before.excess();
     let mut causes = Vec::new();
     let mut claimed = Vec::new();
-    let inflate = 4.0 + whole.fit.cost / noise_cost(scene, &whole.fit.stack).max(1.0) * 8.0;
+    let inflate = 4.0 + whole.fit.cost / scene.noise_on(&whole.fit.stack, u32::MAX).max(1.0) * 8.0;
     let deviations = whole.fit.deviations(inflate);
     let mut at = 0;
     for (t, term) in model.terms.iter().enumerate() {

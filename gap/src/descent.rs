@@ -31,9 +31,9 @@ fn residuals_within(
     include: &(dyn Fn(&Channel) -> bool + Sync),
 ) -> Result<Stack, Error> {
     let Some(untouched) = untouched else {
-        return Ok(scene.residuals(&[(rig, Wanted::ALL)], include)?.remove(0));
+        return scene.residuals_at(rig, Wanted::ALL, include);
     };
-    let mut stack = scene.residuals(&[(rig, wanted)], include)?.remove(0);
+    let mut stack = scene.residuals_at(rig, wanted, include)?;
     for (row, there) in stack.iter_mut().zip(untouched) {
         if row.is_none() {
             row.clone_from(there);

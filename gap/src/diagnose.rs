@@ -77,7 +77,7 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
     scene.set_aside_memory(rig)?;
     let everything = |_: &Channel| true;
     // Weights of noise alone first: they tell how large the gap is in each band.
-    let mut white = scene.residuals(&[(rig, Wanted::ALL)], everything)?.remove(0);
+    let mut white = scene.residuals_at(rig, Wanted::ALL, everything)?;
     let mut by_blocks = false;
     let gapped = found::with_gap(&scene, &white, |_| true);
     if !gapped.is_empty() && found::with_gap(&scene, &white, |c| c.held_out).is_empty() {
@@ -89,7 +89,7 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
             by_blocks = true;
             hold_out_last_third(&mut scene);
             scene.set_aside_memory(rig)?;
-            white = scene.residuals(&[(rig, Wanted::ALL)], everything)?.remove(0);
+            white = scene.residuals_at(rig, Wanted::ALL, everything)?;
             notes.push(format!(
                 "The gap shows in {} alone: the last third of every recording was held out instead of whole recordings.",
                 scene.tracks[gapped[0]].file
@@ -221,7 +221,7 @@ fn answer(
         claimed = order.iter().map(|&k| claims[k].clone()).collect();
         staircase = stairs;
     }
-    let white_after = scene.residuals(&[(&final_rig, Wanted::ALL)], everything)?.remove(0);
+    let white_after = scene.residuals_at(&final_rig, Wanted::ALL, everything)?;
     let left = accept::gaps(scene, &white_after);
     let band = found.as_ref().and_then(|f| f.band.clone());
     let verdict = match (any_gap, &band) {

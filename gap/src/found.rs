@@ -16,7 +16,7 @@ use crate::guess::Ranges;
 use crate::knobs::EffectRef;
 use crate::model::{Model, Term, knobs_of, start_terms};
 use crate::scene::{Channel, Scene, Stack, Wanted};
-use crate::select::{Breadth, Search, noise_cost};
+use crate::select::{Breadth, Search};
 
 /// A search that found something.
 pub(crate) struct Found {
@@ -160,8 +160,8 @@ fn by_axis(
     let by_axis = closed(model.as_ref().map_or(rig, |m| &m.fit.rig))?;
     // An axis that holds nearly all of the gap was searched by itself already.
     let alone = |axis: usize| {
-        let own = scene.on_axis(&search.base, axis);
-        cost(&own) - noise_cost(scene, &own) > DECIDES * search.gap
+        let own = scene.cost_on(&search.base, 1 << axis) - scene.noise_on(&search.base, 1 << axis);
+        own > DECIDES * search.gap
     };
     let open: Vec<usize> = (0..axes)
         .filter(|&a| gaps[a].counts && by_axis[a].is_some_and(|c| !accept::names(c)))
@@ -219,7 +219,7 @@ fn missed(scene: &Scene, rig: &Rig, model: &Model) -> Result<Vec<usize>, Error> 
     let mut stacks = scene.residuals(&[(rig, Wanted::ALL), (&model.fit.rig, Wanted::ALL)], held)?;
     let after = stacks.remove(1);
     let before = stacks.remove(0);
-    let whole = cost(&before) - noise_cost(scene, &before);
+    let whole = cost(&before) - scene.noise_on(&before, u32::MAX);
     let energy = scene.excess(&before);
     let mut missed = Vec::new();
     for track in 0..scene.tracks.len() {
@@ -231,7 +231,7 @@ fn missed(scene: &Scene, rig: &Rig, model: &Model) -> Result<Vec<usize>, Error> 
                 .collect()
         };
         let (b, a) = (pick(&before), pick(&after));
-        let noise = noise_cost(scene, &b);
+        let noise = scene.noise_on(&b, u32::MAX);
         let (gap, left) = (cost(&b) - noise, cost(&a) - noise);
         let is_open = gap > MISSED_GAP.max(MISSED_SHARE * whole) && left > 0.5 * gap;
         if is_open && scene.excess(&a) > MISSED_ENERGY * energy {

@@ -25,6 +25,7 @@ pub mod knobs;
 pub mod locate;
 mod memory;
 pub mod model;
+mod motions;
 mod past;
 pub mod picture;
 pub mod platform;

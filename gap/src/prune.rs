@@ -7,7 +7,7 @@ use crate::Error;
 use crate::fit::Effort;
 use crate::knobs::axes_seen;
 use crate::model::{Model, Term};
-use crate::scene::{Channel, Wanted, dot};
+use crate::scene::{Wanted, dot};
 use crate::select::{Search, WORTH_ABSOLUTE, WORTH_OF_GAP};
 
 /// A place of an effect must be worth this much cost to stay.
@@ -57,12 +57,8 @@ impl Search<'_> {
     /// Cost beyond noise that a model leaves on the axes where one of its terms acts at a place.
     fn left_at(&self, model: &Model, term: usize, place: Place) -> f64 {
         let axes = axes_seen(self.nominal, model.terms[term].effect, place);
-        let rows = model.fit.stack.iter().zip(&self.scene.channels);
-        let left = |(row, channel): (&Option<Vec<f32>>, &Channel)| {
-            let row = row.as_ref().filter(|_| axes >> channel.axis & 1 == 1)?;
-            Some(dot(row, row) - channel.noise_cost())
-        };
-        rows.filter_map(left).sum()
+        let stack = &model.fit.stack;
+        self.scene.cost_on(stack, axes) - self.scene.noise_on(stack, axes)
     }
 
     /// Whether each effect takes off what by itself would count as a gap. With long recordings far less is significant: what another
@@ -101,7 +97,7 @@ impl Search<'_> {
                 let dropped: Vec<Place> = members.iter().map(|&p| term.places[p]).collect();
                 let rig = model.without(self.nominal, t, |place| dropped.contains(&place))?;
                 let wanted = Wanted { axes, monitors: true };
-                let stack = self.scene.residuals(&[(&rig, wanted)], self.include)?.remove(0);
+                let stack = self.scene.residuals_at(&rig, wanted, self.include)?;
                 for &p in &members {
                     let mask = axes_seen(self.nominal, term.effect, term.places[p]);
                     for (c, channel) in self.scene.channels.iter().enumerate() {

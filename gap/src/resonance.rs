@@ -15,15 +15,15 @@ use crate::select::Search;
 /// Frequencies that are tried around a start, as steps beside it and their size: first the coarse ones, then between them.
 const SCANS: [(i32, f64); 2] = [(7, 0.01), (3, 0.0025)];
 
-/// Share of the gap that the recordings hold in which frequencies are tried.
+/// Share of what is left that the recordings hold in which frequencies are tried.
 const TELLING: f64 = 0.8;
 
 impl Search<'_> {
     /// Start values of `effect` at `places`, one set a place, moved to the frequencies that suit the session best beside the
-    /// `known` terms, or within the reach of a threshold. Effects with neither stay as they are.
+    /// `known` terms, which leave `left`, or within the reach of a threshold. Effects with neither stay as they are.
     pub(crate) fn tuned(
         &self,
-        known: &[(Term, Vec<f64>)],
+        (known, left): (&[(Term, Vec<f64>)], &Stack),
         effect: EffectRef,
         places: &[Place],
         mut starts: Vec<Vec<f64>>,
@@ -46,7 +46,7 @@ impl Search<'_> {
             _ => return Ok(starts),
         };
         let mass_kg = self.ranges.mass_kg;
-        let telling = self.telling();
+        let telling = self.telling(left);
         let include = |c: &Channel| (self.include)(c) && telling.contains(&c.track);
         for (reach, step) in SCANS {
             let ratios: Vec<f64> = (-reach..=reach).map(|k| 1.0 + f64::from(k) * step).collect();
@@ -77,11 +77,11 @@ impl Search<'_> {
         Ok(starts)
     }
 
-    /// The recordings that hold most of the gap. A frequency that is off shows where the resonance rings, and costs a simulation of
-    /// everything else.
-    fn telling(&self) -> Vec<usize> {
+    /// The recordings that hold most of what is left. A frequency that is off shows where the resonance rings, and costs a simulation
+    /// of everything else.
+    fn telling(&self, left: &Stack) -> Vec<usize> {
         let mut gaps = vec![0.0; self.scene.tracks.len()];
-        for (row, channel) in self.base.iter().zip(&self.scene.channels) {
+        for (row, channel) in left.iter().zip(&self.scene.channels) {
             if let Some(row) = row {
                 gaps[channel.track] += dot(row, row) - channel.noise_cost();
             }

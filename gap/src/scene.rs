@@ -9,12 +9,13 @@
 use std::sync::Arc;
 
 use host_sim::rig::Rig;
-use host_sim::{Axes, Initial, Input, Output, simulate};
+use host_sim::{Axes, Output};
 use rayon::prelude::*;
 
 use crate::Error;
 use crate::floor::{self, Kind, Noise};
 use crate::intake::Track;
+use crate::motions::Motions;
 use crate::pyramid::{Levels, low_pass, share_kept, transform};
 
 /// Share of the nominal gap of a band that a correct effect of another form may leave.
@@ -69,6 +70,8 @@ pub struct Scene {
     pub monitor_noise: Vec<Option<Noise>>,
     /// Slow strains of one recording are still there in the next.
     pub runs_on: bool,
+    /// Motions that may be asked for again.
+    pub(crate) motions: Arc<Motions>,
 }
 
 /// What a simulation is wanted for.
@@ -117,7 +120,14 @@ impl Scene {
                 }
             }
         }
-        Self { tracks: Arc::new(tracks), channels, position_noise, monitor_noise, runs_on: true }
+        Self {
+            tracks: Arc::new(tracks),
+            channels,
+            position_noise,
+            monitor_noise,
+            runs_on: true,
+            motions: Arc::default(),
+        }
     }
 
     /// The same session, every recording taken by itself, as a replay of a single file does: nothing runs on from the one before.
@@ -129,6 +139,12 @@ impl Scene {
     pub fn cost_on(&self, stack: &Stack, axes: u32) -> f64 {
         let rows = stack.iter().zip(&self.channels).filter(|(_, c)| axes >> c.axis & 1 == 1);
         rows.filter_map(|(row, _)| row.as_ref()).map(|row| dot(row, row)).sum()
+    }
+
+    /// Cost that noise alone would leave there.
+    pub fn noise_on(&self, stack: &Stack, axes: u32) -> f64 {
+        let rows = stack.iter().zip(&self.channels).filter(|(_, c)| axes >> c.axis & 1 == 1);
+        rows.filter(|(row, _)| row.is_some()).map(|(_, c)| c.noise_cost()).sum()
     }
 
     /// Energy of positions beyond noise in a whitened stack, the weights undone.
@@ -148,34 +164,6 @@ impl Scene {
         if fastest > 0 {
             self.channels.iter_mut().for_each(|channel| channel.leave_out(fastest));
         }
-    }
-
-    /// Simulate one recording, from these states of its axes (none: depoled) and with what went before.
-    pub fn output(
-        &self,
-        rig: &Rig,
-        track: usize,
-        axes: Axes,
-        initial: &[Initial],
-    ) -> Result<Output, Error> {
-        let track = &self.tracks[track];
-        let drive: Vec<&[f64]> = track.drive_v.iter().map(Vec::as_slice).collect();
-        let mut initial = initial.to_vec();
-        if self.runs_on && !track.past.is_empty() {
-            initial.resize(track.past.len(), Initial::default());
-            for (state, past) in initial.iter_mut().zip(&track.past) {
-                state.past = Some(past.clone());
-            }
-        }
-        let input = Input {
-            sample_rate_hz: track.rate_hz,
-            start_s: track.start_s,
-            ticks: None,
-            drive_v: &drive,
-            initial: &initial,
-            monitor_v: None,
-        };
-        simulate(rig, &input, axes).map_err(|e| Error::Rig(e.to_string()))
     }
 
     /// Residual of a channel in units of its noise, not whitened, over its scored samples.
@@ -208,6 +196,25 @@ impl Scene {
         rigs: &[(&Rig, Wanted)],
         include: impl Fn(&Channel) -> bool + Sync,
     ) -> Result<Vec<Stack>, Error> {
+        self.stacks(rigs, include, false)
+    }
+
+    /// Whitened residuals of a rig whose neighbours will be asked for: it is kept how its axes move.
+    pub fn residuals_at(
+        &self,
+        rig: &Rig,
+        wanted: Wanted,
+        include: impl Fn(&Channel) -> bool + Sync,
+    ) -> Result<Stack, Error> {
+        Ok(self.stacks(&[(rig, wanted)], include, true)?.remove(0))
+    }
+
+    fn stacks(
+        &self,
+        rigs: &[(&Rig, Wanted)],
+        include: impl Fn(&Channel) -> bool + Sync,
+        keep: bool,
+    ) -> Result<Vec<Stack>, Error> {
         let jobs: Vec<(usize, usize)> = (0..rigs.len())
             .flat_map(|rig| (0..self.tracks.len()).map(move |track| (rig, track)))
             .collect();
@@ -228,7 +235,7 @@ impl Scene {
                     return Ok((index, Vec::new()));
                 }
                 let mask = mine.iter().fold(0_u32, |m, &c| m | 1 << self.channels[c].axis);
-                let output = self.output(rig, track, Axes::Only(mask), &[])?;
+                let output = self.recalled(rig, track, Axes::Only(mask), keep)?;
                 let rows = mine
                     .into_iter()
                     .map(|c| {
@@ -262,7 +269,7 @@ impl Scene {
                 if mine.is_empty() {
                     return Ok(Vec::new());
                 }
-                let output = self.output(rig, track, Axes::All, &[])?;
+                let output = self.recalled(rig, track, Axes::All, false)?;
                 Ok(mine
                     .into_iter()
                     .map(|c| {

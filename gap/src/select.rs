@@ -51,6 +51,8 @@ pub(crate) const WORTH_ABSOLUTE: f64 = 60.0;
 const WORTH_OF_FIRST: f64 = 0.05;
 /// Share of the gap that the effects which a screen promised leave at most, or the others are fitted as well.
 const MOSTLY_OPEN: f64 = 0.5;
+/// Share of the gap below which no axis of a model is looked at for a better minimum.
+const CLOSED: f64 = 0.002;
 /// A plainer model may leave this much more than the best one, of what that leaves.
 const AS_LITTLE: f64 = 0.1;
 /// Share of the gain that is needed which a partner must promise by linear prediction to be fitted.
@@ -92,8 +94,8 @@ impl<'a> Search<'a> {
         include: &'a (dyn Fn(&Channel) -> bool + Sync),
         tick: &'a (dyn Fn() + Sync),
     ) -> Result<Self, Error> {
-        let base = scene.residuals(&[(nominal, Wanted::ALL)], include)?.remove(0);
-        let noise = noise_cost(scene, &base);
+        let base = scene.residuals_at(nominal, Wanted::ALL, include)?;
+        let noise = scene.noise_on(&base, u32::MAX);
         let gap = cost(&base) - noise;
         let loud = crate::accept::loud_axes(scene, &base);
         let screen = screen(scene, nominal, (&base, loud), effects, ranges, include, tick)?;
@@ -124,7 +126,7 @@ impl<'a> Search<'a> {
             if nth >= self.breadth.shortlist && self.tried.first().is_some_and(is_closed) {
                 break;
             }
-            let model = self.fit_terms(&[], effect, &gains)?;
+            let model = self.fit_terms((&[], &self.base), effect, &gains)?;
             self.remember(model);
         }
         let mut best: Option<Model> = None;
@@ -229,7 +231,8 @@ impl<'a> Search<'a> {
                 if self.tried.iter().any(|m| m.key() == key) {
                     continue;
                 }
-                let model = self.fit_terms(&start_terms(&start), effect, &gains)?;
+                let known = (&start_terms(&start)[..], &start.fit.stack);
+                let model = self.fit_terms(known, effect, &gains)?;
                 self.remember(model);
             }
         }
@@ -249,7 +252,7 @@ impl<'a> Search<'a> {
             others.remove(t);
             let (terms, values): (Vec<Term>, Vec<Vec<f64>>) = others.iter().cloned().unzip();
             let rig = model.without(self.nominal, t, |_| true)?;
-            let stack = self.scene.residuals(&[(&rig, Wanted::ALL)], self.include)?.remove(0);
+            let stack = self.scene.residuals_at(&rig, Wanted::ALL, self.include)?;
             let sensitivities = Sensitivities::at(
                 self.scene,
                 self.nominal,
@@ -273,7 +276,7 @@ impl<'a> Search<'a> {
                 key.push(effect.info().name);
                 key.sort_unstable();
                 if self.tried.iter().all(|m| m.key() != key) {
-                    let model = self.fit_terms(&others, effect, &gains)?;
+                    let model = self.fit_terms((&others, &stack), effect, &gains)?;
                     self.remember(model);
                 }
             }
@@ -320,10 +323,10 @@ impl<'a> Search<'a> {
         ranked.into_iter().map(|(_, effect, gains)| (effect, gains)).collect()
     }
 
-    /// Fit `effect` at the places of `gains`, jointly with `known` terms that start at their values.
+    /// Fit `effect` at the places of `gains`, jointly with `known` terms that start at their values and leave `left` without it.
     pub fn fit_terms(
         &self,
-        known: &[(Term, Vec<f64>)],
+        (known, left): (&[(Term, Vec<f64>)], &Stack),
         effect: EffectRef,
         gains: &[Gain],
     ) -> Result<Model, Error> {
@@ -331,7 +334,7 @@ impl<'a> Search<'a> {
         let mut start: Vec<f64> = known.iter().flat_map(|(_, v)| v.iter().copied()).collect();
         let mut places: Vec<Place> = gains.iter().map(|g| g.place).collect();
         let starts = gains.iter().map(|g| g.start.clone()).collect();
-        start.extend(self.tuned(known, effect, &places, starts)?.concat());
+        start.extend(self.tuned((known, left), effect, &places, starts)?.concat());
         // An axis where no setting of the screen came near enough to gain anything starts from what suits the others best;
         // pruning takes it out again if it needs none.
         if let Some(best) = gains.iter().max_by(|a, b| a.gain.total_cmp(&b.gain))
@@ -360,7 +363,11 @@ impl<'a> Search<'a> {
     /// Axes may have run into different local minima: start all of them from the values of each other, and keep what is better.
     fn even_out(&self, model: Model, effort: Effort) -> Result<Model, Error> {
         let saves = cost(&self.base) - model.fit.cost;
-        if model.fit.cost > effort.hopeless || saves < WORTH_OF_FIRST * self.gap {
+        let left = model.fit.cost - self.noise;
+        if model.fit.cost > effort.hopeless
+            || saves < WORTH_OF_FIRST * self.gap
+            || left < CLOSED * self.gap
+        {
             return Ok(model);
         }
         let last = model.terms.len() - 1;
@@ -439,15 +446,4 @@ impl<'a> Search<'a> {
             .min_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost))
             .cloned()
     }
-}
-
-/// Cost that noise alone would leave in a stack: the sum of all weights squared times the variance that cannot be explained.
-pub fn noise_cost(scene: &Scene, stack: &Stack) -> f64 {
-    scene
-        .channels
-        .iter()
-        .zip(stack)
-        .filter(|(_, row)| row.is_some())
-        .map(|(channel, _)| channel.noise_cost())
-        .sum()
 }

@@ -6,10 +6,10 @@
 use host_sim::effects::Place;
 
 use crate::Error;
-use crate::fit::{Effort, cost};
+use crate::fit::Effort;
 use crate::model::{Model, Term};
 use crate::scene::Wanted;
-use crate::select::{MOST_EFFECTS, Search, noise_cost};
+use crate::select::{MOST_EFFECTS, Search};
 
 /// Effects that are tried in each place.
 const OFFERS: usize = 2;
@@ -23,8 +23,8 @@ impl Search<'_> {
         for axis in 0..self.nominal.axes.len() {
             let place = Place::Axis(axis);
             let base = self.scene.on_axis(&self.base, axis);
-            let noise = noise_cost(self.scene, &base);
-            let gap = cost(&base) - noise;
+            let noise = self.scene.noise_on(&self.base, 1 << axis);
+            let gap = self.scene.cost_on(&self.base, 1 << axis) - noise;
             for t in 0..best.terms.len() {
                 let Some(term) = best.terms.get(t) else { continue };
                 let left = self.scene.cost_on(&best.fit.stack, 1 << axis) - noise;
@@ -35,13 +35,14 @@ impl Search<'_> {
                 let name = term.name();
                 let rig = best.without(self.nominal, t, |p| p == place)?;
                 let wanted = Wanted { axes: 1 << axis, monitors: true };
-                let stack = self.scene.residuals(&[(&rig, wanted)], self.include)?.remove(0);
+                let stack = self.scene.residuals_at(&rig, wanted, self.include)?;
                 let gains = self.screen.test(self.scene, &stack, None);
                 for (effect, gains) in self.shortlist(&gains, &[name], OFFERS) {
                     let Some(gain) = gains.into_iter().find(|g| g.place == place) else { continue };
                     let mut terms =
                         best.part(|of, here| of.name() != name || here.places[0] != place);
-                    let start = self.tuned(&[], effect, &[place], vec![gain.start])?.concat();
+                    let alone = (&[][..], &base);
+                    let start = self.tuned(alone, effect, &[place], vec![gain.start])?.concat();
                     let full = terms.len() == MOST_EFFECTS;
                     match terms.iter_mut().find(|(known, _)| known.name() == effect.info().name) {
                         Some((known, _)) if known.places.contains(&place) => continue,

@@ -3,6 +3,7 @@
 //! - [`Rig`]: the rig as it is known, from TOML, with the settings of effects
 //! - [`effects`]: what a rig may do beyond its nominal model, one file each
 //! - [`simulate`](fn@simulate): whole recordings without noise, for fits and replays
+//! - [`motion`]: the same in two parts, axes and sensors
 //! - [`platform`]: the second paper's compliant platforms, chains of lumped masses
 //! - [`AnyRig`]: a rig file of either kind
 //! - [`Plant`]: a tick at a time with noise and rounding, for closed loops
@@ -15,6 +16,7 @@ pub mod closed_loop;
 pub mod effects;
 pub mod experiments;
 pub mod flexure;
+pub mod motion;
 mod noise;
 mod plant;
 pub mod platform;

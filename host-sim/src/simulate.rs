@@ -2,10 +2,8 @@
 //!
 //! Only the axes that the wanted readings depend on are simulated. Lost ticks hold the drive.
 
+use crate::motion::{move_axes, needed, read};
 use crate::rig::Rig;
-use crate::stages::group::Group;
-use crate::stages::model::Model;
-use crate::stages::sensor::SensorSim;
 use crate::start::Initial;
 
 /// Most ticks in one recording, lost ones included.
@@ -66,9 +64,9 @@ pub struct Output {
 /// Simulate a rig under a recorded drive.
 pub fn simulate(rig: &Rig, input: &Input, wanted: Axes) -> Result<Output, SimError> {
     let n = rig.axes.len();
-    let samples = check(rig, input)?;
+    check(rig, input)?;
     match input.ticks.filter(|ticks| !is_contiguous(ticks)) {
-        None => run(rig, input, wanted, samples),
+        None => run(rig, input, wanted),
         Some(ticks) => {
             let spread = |channels: &[&[f64]]| -> Vec<Vec<f64>> {
                 channels.iter().map(|channel| hold(channel, ticks)).collect()
@@ -80,7 +78,7 @@ pub fn simulate(rig: &Rig, input: &Input, wanted: Axes) -> Result<Output, SimErr
                 monitor.as_ref().map(|all| all.iter().map(Vec::as_slice).collect());
             let whole =
                 Input { ticks: None, drive_v: &drive, monitor_v: monitor.as_deref(), ..*input };
-            let mut output = run(rig, &whole, wanted, drive[0].len())?;
+            let mut output = run(rig, &whole, wanted)?;
             for axis in 0..n {
                 keep(&mut output.position_m[axis], ticks);
                 keep(&mut output.monitor_v[axis], ticks);
@@ -90,7 +88,7 @@ pub fn simulate(rig: &Rig, input: &Input, wanted: Axes) -> Result<Output, SimErr
     }
 }
 
-fn check(rig: &Rig, input: &Input) -> Result<usize, SimError> {
+pub(crate) fn check(rig: &Rig, input: &Input) -> Result<(), SimError> {
     let n = rig.axes.len();
     let fail = |message: String| Err(SimError(message));
     if !(1.0..=1.0e6).contains(&input.sample_rate_hz) {
@@ -143,7 +141,7 @@ fn check(rig: &Rig, input: &Input) -> Result<usize, SimError> {
             return fail(format!("expected at most {MAX_TICKS} ticks from first to last"));
         }
     }
-    Ok(samples)
+    Ok(())
 }
 
 fn is_contiguous(ticks: &[u64]) -> bool {
@@ -168,106 +166,7 @@ fn keep(channel: &mut Vec<f64>, ticks: &[u64]) {
     }
 }
 
-fn run(rig: &Rig, input: &Input, wanted: Axes, samples: usize) -> Result<Output, SimError> {
-    let n = rig.axes.len();
-    let step_s = 1.0 / input.sample_rate_hz;
-    let mut model = Model::new(rig, step_s);
-    let mut sensors = SensorSim::new(&mut model.axes, model.output_map.take());
-    let mut needed = vec![false; n];
-    for sensor in (0..n).filter(|&sensor| wanted.contains(sensor)) {
-        needed[sensor] = true;
-        sensors.axes_of(sensor).into_iter().for_each(|axis| needed[axis] = true);
-    }
-    let groups = Group::split(model.axes, &model.springs, step_s);
-    let mut output = Output {
-        position_m: vec![Vec::new(); n],
-        monitor_v: vec![Vec::new(); n],
-        end: vec![Initial::default(); n],
-    };
-    let mut displacement_m = vec![Vec::new(); n];
-    for mut group in groups {
-        if group.members.iter().any(|&axis| needed[axis]) {
-            run_group(&mut group, input, samples, &mut displacement_m, &mut output);
-        }
-    }
-    let wanted_sensors = || (0..n).filter(|&sensor| wanted.contains(sensor));
-    if wanted_sensors().all(|sensor| sensors.is_bare(sensor)) {
-        for sensor in wanted_sensors() {
-            output.position_m[sensor] = sensors.bare_readings(sensor, &mut displacement_m, samples);
-        }
-    } else {
-        let mut readings = vec![0.0; n];
-        for sensor in wanted_sensors() {
-            output.position_m[sensor].reserve_exact(samples);
-        }
-        for sample in 0..samples {
-            let time_s = input.start_s + sample as f64 * step_s;
-            let displacement =
-                |axis: usize| displacement_m[axis].get(sample).copied().unwrap_or(0.0);
-            sensors.read(displacement, time_s, |sensor| wanted.contains(sensor), &mut readings);
-            for sensor in wanted_sensors() {
-                output.position_m[sensor].push(readings[sensor]);
-            }
-        }
-    }
-    for axis in (0..n).filter(|&axis| !wanted.contains(axis)) {
-        output.monitor_v[axis] = Vec::new();
-    }
-    Ok(output)
-}
-
-fn run_group(
-    group: &mut Group,
-    input: &Input,
-    samples: usize,
-    displacement_m: &mut [Vec<f64>],
-    output: &mut Output,
-) {
-    let step_s = 1.0 / input.sample_rate_hz;
-    let rested = Initial::default();
-    let monitor = |axis: usize, sample: usize| input.monitor_v.map(|all| all[axis][sample]);
-    group.start(
-        |axis| input.drive_v[axis][0],
-        |axis| input.initial.get(axis).unwrap_or(&rested),
-        |axis| monitor(axis, 0),
-        input.start_s,
-    );
-    let members = group.members.clone();
-    let mut x: Vec<Vec<f64>> = members.iter().map(|_| Vec::with_capacity(samples)).collect();
-    let mut v: Vec<Vec<f64>> = members.iter().map(|_| Vec::with_capacity(samples)).collect();
-    let time_s = |sample: usize| input.start_s + (sample + 1) as f64 * step_s;
-    if group.is_alone() {
-        let (x, v) = (&mut x[0], &mut v[0]);
-        x.push(group.axes()[0].position_m());
-        v.push(group.axes()[0].output_v());
-        group.follow(
-            samples - 1,
-            |sample, axis| input.drive_v[axis][sample],
-            |sample, axis| monitor(axis, sample + 1),
-            time_s,
-            |_, position_m, output_v| {
-                x.push(position_m);
-                v.push(output_v);
-            },
-        );
-    } else {
-        for sample in 0..samples {
-            for (slot, axis) in group.axes().iter().enumerate() {
-                x[slot].push(axis.position_m());
-                v[slot].push(axis.output_v());
-            }
-            if sample + 1 < samples {
-                group.advance(
-                    |axis| input.drive_v[axis][sample],
-                    |axis| monitor(axis, sample + 1),
-                    time_s(sample),
-                );
-            }
-        }
-    }
-    for (slot, &member) in members.iter().enumerate() {
-        output.end[member] = group.axes()[slot].state();
-        displacement_m[member] = std::mem::take(&mut x[slot]);
-        output.monitor_v[member] = std::mem::take(&mut v[slot]);
-    }
+fn run(rig: &Rig, input: &Input, wanted: Axes) -> Result<Output, SimError> {
+    let motion = move_axes(rig, input, needed(rig, wanted))?;
+    read(rig, input, &motion, wanted)
 }

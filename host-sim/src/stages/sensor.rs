@@ -56,20 +56,20 @@ impl SensorSim {
         self.channels[sensor].blocks.is_empty()
     }
 
-    /// All readings of a sensor that is bare, from the displacements of each axis; may use theirs up.
+    /// All readings of a sensor that is bare, from the displacements of each axis.
     pub fn bare_readings(
         &self,
         sensor: usize,
-        displacement_m: &mut [Vec<f64>],
+        displacement_m: &[&[f64]],
         samples: usize,
     ) -> Vec<f64> {
         let mut readings = match &self.map {
-            None => std::mem::take(&mut displacement_m[sensor]),
+            None => displacement_m[sensor].to_vec(),
             Some(map) => {
                 let mut sum = vec![0.0; samples];
                 for (weight, axis) in map[sensor].iter().zip(displacement_m) {
                     if *weight != 0.0 {
-                        sum.iter_mut().zip(axis).for_each(|(sum, x)| *sum += weight * *x);
+                        sum.iter_mut().zip(*axis).for_each(|(sum, x)| *sum += weight * *x);
                     }
                 }
                 sum

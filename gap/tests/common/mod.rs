@@ -1,0 +1,66 @@
+//! Sessions that need no file.
+
+use host_sim::rig::Rig;
+use host_sim::{Axes, Input, simulate};
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
+use recording::{Entry, Meta, Recording, Session};
+
+const RATE_HZ: f64 = 10_000.0;
+const ROWS: usize = 12_000;
+const AXES: usize = 3;
+/// Noise of the gauges, um rms.
+const NOISE_UM: f64 = 0.004;
+
+/// Five recordings of sines on all axes of `rig`, each reading passed through `gauge` (axis, row, um).
+pub fn session(rig: &Rig, gauge: impl Fn(usize, usize, f64) -> f64) -> Session {
+    let mut rng = StdRng::seed_from_u64(7);
+    let recordings = (0..5_u32)
+        .map(|nth| {
+            let drive: Vec<Vec<f64>> = (0..AXES)
+                .map(|axis| {
+                    let hz = 2.0 + 3.0 * f64::from(nth) + axis as f64;
+                    let volts = 15.0 + 6.0 * f64::from(nth);
+                    let turns = |row: usize| row as f64 / RATE_HZ * hz;
+                    let swing = |row| 1.0 - (std::f64::consts::TAU * turns(row)).cos();
+                    (0..ROWS).map(|row| volts * swing(row)).collect()
+                })
+                .collect();
+            let columns: Vec<&[f64]> = drive.iter().map(Vec::as_slice).collect();
+            let start_s = 10.0 * f64::from(nth);
+            let input = Input {
+                sample_rate_hz: RATE_HZ,
+                start_s,
+                ticks: None,
+                drive_v: &columns,
+                monitor_v: None,
+                initial: &[],
+            };
+            let output = simulate(rig, &input, Axes::All).expect("simulation");
+            let mut noise = || (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
+            let position_um = output
+                .position_m
+                .iter()
+                .enumerate()
+                .map(|(axis, column)| {
+                    let reading = |(row, m): (usize, &f64)| {
+                        (gauge(axis, row, m * 1.0e6) + NOISE_UM * noise()) as f32
+                    };
+                    Some(column.iter().enumerate().map(reading).collect())
+                })
+                .collect();
+            let recording = Recording {
+                meta: Meta { start_s, settle_s: 0.1, ..Meta::new("sines", RATE_HZ) },
+                tick: (0..ROWS as u64).collect(),
+                drive_v: drive.iter().map(|c| c.iter().map(|&v| v as f32).collect()).collect(),
+                monitor_v: vec![None; AXES],
+                position_um,
+                reference_um: vec![None; AXES],
+                flags: None,
+            };
+            let file = format!("r{nth}.parquet");
+            Entry { path: file.clone().into(), file, recording }
+        })
+        .collect();
+    Session { recordings }
+}
