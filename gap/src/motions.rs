@@ -3,7 +3,7 @@
 //! A fit stands at a point and asks what each of its knobs would change there. What a knob of a sensor changes needs no simulation:
 //! the axes move as they did. So the motions of the last few points are kept, axis by axis.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Mutex, PoisonError};
 
 use host_sim::motion::{self, AxisMotion, Motion, Upstream, move_axes};
@@ -13,22 +13,26 @@ use host_sim::{Axes, Initial, Input, Output, SimError, simulate};
 use crate::Error;
 use crate::scene::Scene;
 
-/// Most samples that are kept, of displacement and amplifier output each: 256 MiB in all.
+/// Most samples that are kept, of displacement and amplifier output each: 256 MiB in all, or one point of a longer session.
 const MOST_SAMPLES: usize = 1 << 24;
+/// Most points that are kept: a fit goes back to none before the last few.
+const MOST_POINTS: usize = 12;
 
-/// Motions, the one used last at the end.
-#[derive(Debug, Default)]
+/// Motions of one axis in one recording, the one used last at the end.
+type Points = VecDeque<(Key, AxisMotion)>;
+
+/// Motions of the last points.
+#[derive(Debug)]
 pub(crate) struct Motions {
-    kept: Mutex<VecDeque<(Key, AxisMotion)>>,
+    /// By recording and axis (from 0).
+    kept: Mutex<BTreeMap<(usize, usize), Points>>,
+    /// Points of each.
+    most: usize,
 }
 
-/// Whose motion.
+/// Whose motion an axis made in a recording.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Key {
-    /// Recording.
-    pub track: usize,
-    /// Axis, from 0.
-    pub axis: usize,
     /// Whether slow strains ran on from the recording before.
     pub runs_on: bool,
     /// The rig, as far as it matters.
@@ -36,28 +40,34 @@ pub(crate) struct Key {
 }
 
 impl Motions {
-    /// A motion that is kept.
-    pub(crate) fn get(&self, key: &Key) -> Option<AxisMotion> {
+    /// For a session of so many samples of all axes together.
+    pub(crate) fn new(samples: usize) -> Self {
+        let most = (MOST_SAMPLES / samples.max(1)).clamp(1, MOST_POINTS);
+        Self { kept: Mutex::default(), most }
+    }
+
+    /// The motion of an axis (from 0) in a recording, if it is kept.
+    pub(crate) fn get(&self, (track, axis): (usize, usize), key: &Key) -> Option<AxisMotion> {
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        let at = kept.iter().rposition(|(known, _)| known == key)?;
-        let entry = kept.remove(at)?;
+        let here = kept.get_mut(&(track, axis))?;
+        let at = here.iter().rposition(|(known, _)| known == key)?;
+        let entry = here.remove(at)?;
         let motion = entry.1.clone();
-        kept.push_back(entry);
+        here.push_back(entry);
         Some(motion)
     }
 
-    /// Keep a motion, at the expense of those that were not used for longest.
-    pub(crate) fn keep(&self, key: Key, motion: AxisMotion) {
+    /// Keep a motion, at the expense of that which was not used for longest.
+    pub(crate) fn keep(&self, (track, axis): (usize, usize), key: Key, motion: AxisMotion) {
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        if kept.iter().any(|(known, _)| *known == key) {
+        let here = kept.entry((track, axis)).or_default();
+        if here.iter().any(|(known, _)| *known == key) {
             return;
         }
-        kept.push_back((key, motion));
-        let mut samples: usize = kept.iter().map(|(_, m)| m.displacement_m.len()).sum();
-        while samples > MOST_SAMPLES && kept.len() > 1 {
-            let oldest = kept.pop_front();
-            samples -= oldest.map_or(0, |(_, m)| m.displacement_m.len());
+        while here.len() >= self.most {
+            here.pop_front();
         }
+        here.push_back((key, motion));
     }
 }
 
@@ -85,12 +95,12 @@ impl Scene {
         let runs_on = self.runs_on && !self.tracks[track].past.is_empty();
         let keys: Vec<Option<Key>> = (0..rig.axes.len())
             .map(|axis| {
-                let upstream = || Upstream::of(rig, axis);
-                needed.contains(axis).then(|| Key { track, axis, runs_on, upstream: upstream() })
+                needed.contains(axis).then(|| Key { runs_on, upstream: Upstream::of(rig, axis) })
             })
             .collect();
-        let mut known: Motion =
-            keys.iter().map(|key| key.as_ref().and_then(|key| self.motions.get(key))).collect();
+        let recall =
+            |(axis, key): (usize, &Option<Key>)| self.motions.get((track, axis), key.as_ref()?);
+        let mut known: Motion = keys.iter().enumerate().map(recall).collect();
         let missing = (0..keys.len())
             .filter(|&axis| keys[axis].is_some() && known[axis].is_none())
             .fold(0, |mask, axis| mask | 1 << axis);
@@ -102,7 +112,7 @@ impl Scene {
                         continue;
                     }
                     if let (true, Some(key), Some(motion)) = (keep, key, &motion) {
-                        self.motions.keep(key, motion.clone());
+                        self.motions.keep((track, axis), key, motion.clone());
                     }
                     known[axis] = motion;
                 }
@@ -147,45 +157,49 @@ mod tests {
     use super::*;
 
     fn key(rig: &Rig, axis: usize) -> Key {
-        Key { track: 0, axis, runs_on: false, upstream: Upstream::of(rig, axis) }
+        Key { runs_on: false, upstream: Upstream::of(rig, axis) }
     }
 
-    fn motion(samples: usize) -> AxisMotion {
-        let column = Arc::new(vec![0.0; samples]);
+    fn motion() -> AxisMotion {
+        let column = Arc::new(vec![0.0; 10]);
         AxisMotion { displacement_m: column.clone(), amplifier_v: column, end: Initial::default() }
+    }
+
+    fn changed(effect: &str, place: Place, parameter: &str, value: f64) -> Rig {
+        let mut rig = Rig::named("handley").unwrap();
+        rig.set(effect, place, parameter, value).unwrap();
+        rig
     }
 
     #[test]
     fn an_axis_moves_the_same_whatever_its_sensor_and_other_axes_do() {
         let rig = Rig::named("handley").unwrap();
-        let changed = |effect: &str, place: Place, parameter: &str, value: f64| {
-            let mut rig = rig.clone();
-            rig.set(effect, place, parameter, value).unwrap();
-            rig
-        };
-        let motions = Motions::default();
-        motions.keep(key(&rig, 0), motion(10));
-        let finds = |rig: &Rig| motions.get(&key(rig, 0)).is_some();
+        let motions = Motions::new(10);
+        motions.keep((0, 0), key(&rig, 0), motion());
+        let finds = |rig: &Rig| motions.get((0, 0), &key(rig, 0)).is_some();
         assert!(finds(&changed("sensor-offset", Place::Axis(0), "offset_m", 1.0e-8)));
-        assert!(finds(&changed("drive-gain", Place::Axis(1), "ratio", 0.02)));
-        assert!(!finds(&changed("drive-gain", Place::Axis(0), "ratio", 0.02)));
+        assert!(finds(&changed("drive-gain", Place::Axis(1), "ratio", 0.98)));
+        assert!(!finds(&changed("drive-gain", Place::Axis(0), "ratio", 0.98)));
         let pair = Place::Pair { on: 1, from: 2 };
         assert!(!finds(&changed("drive-crosstalk", pair, "share", 0.02)));
         let mut heavy = rig.clone();
         heavy.axes[0].mechanism.mass_kg += 0.1;
         assert!(!finds(&heavy));
-        assert!(motions.get(&key(&rig, 1)).is_none());
+        assert!(motions.get((0, 1), &key(&rig, 0)).is_none());
+        assert!(motions.get((1, 0), &key(&rig, 0)).is_none());
     }
 
     #[test]
     fn the_one_not_used_for_longest_goes_first() {
-        let rig = Rig::named("handley").unwrap();
-        let motions = Motions::default();
-        motions.keep(key(&rig, 0), motion(MOST_SAMPLES / 2));
-        motions.keep(key(&rig, 1), motion(MOST_SAMPLES / 2));
-        assert!(motions.get(&key(&rig, 0)).is_some());
-        motions.keep(key(&rig, 2), motion(10));
-        assert!(motions.get(&key(&rig, 0)).is_some() && motions.get(&key(&rig, 2)).is_some());
-        assert!(motions.get(&key(&rig, 1)).is_none());
+        let motions = Motions::new(MOST_SAMPLES / 2);
+        let rigs = [0.97, 0.98, 0.99].map(|r| changed("drive-gain", Place::Axis(0), "ratio", r));
+        let [first, second, third] = rigs.map(|rig| key(&rig, 0));
+        motions.keep((0, 0), first.clone(), motion());
+        motions.keep((0, 0), second.clone(), motion());
+        assert!(motions.get((0, 0), &first).is_some());
+        motions.keep((0, 0), third.clone(), motion());
+        assert!(motions.get((0, 0), &first).is_some() && motions.get((0, 0), &third).is_some());
+        assert!(motions.get((0, 0), &second).is_none());
+        assert_eq!(Motions::new(10 * MOST_SAMPLES).most, 1);
     }
 }

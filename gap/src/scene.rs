@@ -120,13 +120,14 @@ impl Scene {
                 }
             }
         }
+        let samples = axes * tracks.iter().map(Track::len).sum::<usize>();
         Self {
             tracks: Arc::new(tracks),
             channels,
             position_noise,
             monitor_noise,
             runs_on: true,
-            motions: Arc::default(),
+            motions: Arc::new(Motions::new(samples)),
         }
     }
 
