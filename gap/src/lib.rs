@@ -36,6 +36,7 @@ pub mod scene;
 pub mod screen;
 pub mod select;
 mod slow;
+mod spectra;
 pub mod split;
 mod threshold;
 mod trade;

@@ -7,9 +7,9 @@ use report::{Report, Table};
 use crate::diagnose::Findings;
 use crate::diagnosis::{CauseKind, Parameter, Role, Verdict};
 use crate::floor::Kind;
-use crate::guess::spectrum;
 use crate::locate::Cuts;
 use crate::scene::{Channel, Stack};
+use crate::spectra::spectrum;
 
 /// Stages in the order of the chain.
 const STAGES: [&str; 6] = ["drive", "amplifier", "piezo", "mechanism", "sensor", "environment"];

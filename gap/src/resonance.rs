@@ -4,6 +4,7 @@
 //! only lower by damping the model's own mode away. So frequencies around the one that the screen liked are tried first.
 
 use host_sim::effects::Place;
+use host_sim::rig::Axis;
 
 use crate::Error;
 use crate::fit::rig_with;
@@ -13,10 +14,91 @@ use crate::scene::{Channel, Stack, Wanted, dot};
 use crate::select::Search;
 
 /// Frequencies that are tried around a start, as steps beside it and their size: first the coarse ones, then between them.
-const SCANS: [(i32, f64); 2] = [(7, 0.01), (3, 0.0025)];
+const SCANS: [(i32, f64); 2] = [(7, 0.01), (4, 0.0025)];
 
 /// Share of what is left that the recordings hold in which frequencies are tried.
 const TELLING: f64 = 0.8;
+
+/// Coarse steps below and above a frequency that was seen. It is read off to three per cent, and stack and mechanism are softer alone than
+/// with a stack whose charge is held, so a mass that is told from them is too small.
+const AROUND_SEEN: std::ops::RangeInclusive<i32> = -8..=12;
+
+/// Damping ratio of a mode that is tried beside one that rings freely.
+const DAMPED: f64 = 0.02;
+
+/// What sets the frequency of an effect that resonates.
+#[derive(Clone, Copy)]
+enum Mode {
+    /// The mass of the mechanism, beside the nominal one (kg), on the spring that there is (N/m).
+    Mass { nominal_kg: f64, stiffness_n_per_m: f64 },
+    /// A spring of its own.
+    Own,
+}
+
+impl Mode {
+    fn of(effect: &str, axis: &Axis) -> Option<Self> {
+        match effect {
+            "inertia" => Some(Self::Mass {
+                nominal_kg: axis.piezo.mass_kg + axis.mechanism.mass_kg,
+                stiffness_n_per_m: axis.piezo.stiffness_n_per_m + axis.mechanism.stiffness_n_per_m,
+            }),
+            "second-mass" => Some(Self::Own),
+            _ => None,
+        }
+    }
+
+    /// Values of the effect with its frequency times `ratio`.
+    fn moved(self, values: &[f64], ratio: f64) -> Vec<f64> {
+        let mut values = values.to_vec();
+        match self {
+            // The frequency goes with the root of the mass.
+            Self::Mass { nominal_kg, .. } => {
+                values[0] = (nominal_kg + values[0]) / (ratio * ratio) - nominal_kg;
+            }
+            Self::Own => values[1] *= ratio,
+        }
+        values
+    }
+
+    /// Values of the effect with its frequency at `hz`, ringing freely and damped; none where the nominal mass alone is slower. What a
+    /// screen made of a resonance that it missed is no size to start from.
+    fn placed(self, effect: EffectRef, values: &[f64], hz: f64) -> Vec<Vec<f64>> {
+        match self {
+            Self::Mass { nominal_kg, stiffness_n_per_m } => {
+                let omega = std::f64::consts::TAU * hz;
+                let added_kg = stiffness_n_per_m / (omega * omega) - nominal_kg;
+                if added_kg <= 0.0 {
+                    return Vec::new();
+                }
+                let damped = 2.0 * DAMPED * stiffness_n_per_m / omega;
+                vec![vec![added_kg, 0.0], vec![added_kg, damped]]
+            }
+            Self::Own => {
+                let typical = &effect.info().parameters[0].typical;
+                vec![vec![values[0].max(0.1 * typical), hz, values[2].min(0.05)]]
+            }
+        }
+    }
+
+    /// Whether values are a resonance at all: a screen that missed it takes away what mass there is.
+    fn is_sound(self, values: &[f64]) -> bool {
+        match self {
+            Self::Mass { nominal_kg, .. } => values[0] > -0.5 * nominal_kg,
+            Self::Own => true,
+        }
+    }
+
+    /// Values of the effect with as little damping as it may have: what rings long is told from what rings a little too low only if the
+    /// model rings as long.
+    fn rung(self, values: &[f64]) -> Vec<f64> {
+        let mut values = values.to_vec();
+        match self {
+            Self::Mass { .. } => values[1] = 0.0,
+            Self::Own => values[2] *= 0.3,
+        }
+        values
+    }
+}
 
 impl Search<'_> {
     /// Start values of `effect` at `places`, one set a place, moved to the frequencies that suit the session best beside the
@@ -28,49 +110,65 @@ impl Search<'_> {
         places: &[Place],
         mut starts: Vec<Vec<f64>>,
     ) -> Result<Vec<Vec<f64>>, Error> {
-        let moved: fn(&[f64], f64, f64) -> Vec<f64> = match effect.info().name {
-            // The frequency goes with the root of the mass.
-            "inertia" => |values, ratio, mass_kg| {
-                let mut values = values.to_vec();
-                values[0] = (mass_kg + values[0]) / (ratio * ratio) - mass_kg;
-                values
-            },
-            "second-mass" => |values, ratio, _| {
-                let mut values = values.to_vec();
-                values[1] *= ratio;
-                values
-            },
-            _ if effect.info().threshold => {
-                return self.within_threshold(known, effect, places, starts);
-            }
-            _ => return Ok(starts),
-        };
-        let mass_kg = self.ranges.mass_kg;
+        let name = effect.info().name;
+        let modes: Vec<Mode> = places
+            .iter()
+            .filter_map(|place| Mode::of(name, &self.nominal.axes[place.on()]))
+            .collect();
+        if modes.is_empty() {
+            return if effect.info().threshold {
+                self.within_threshold(known, effect, places, starts)
+            } else {
+                Ok(starts)
+            };
+        }
         let telling = self.telling(left);
         let include = |c: &Channel| (self.include)(c) && telling.contains(&c.track);
-        for (reach, step) in SCANS {
-            let ratios: Vec<f64> = (-reach..=reach).map(|k| 1.0 + f64::from(k) * step).collect();
-            let mut rigs = Vec::with_capacity(ratios.len());
-            for &ratio in &ratios {
+        let ranges = &self.ranges;
+        for (round, (reach, step)) in SCANS.into_iter().enumerate() {
+            let offers: Vec<Vec<Vec<f64>>> = (0..places.len())
+                .map(|p| {
+                    let (mode, start) = (modes[p], &starts[p]);
+                    let around = |values: &[f64], steps: std::ops::RangeInclusive<i32>| {
+                        let values = values.to_vec();
+                        steps.map(move |k| mode.moved(&values, 1.0 + f64::from(k) * step))
+                    };
+                    let own = around(start, -reach..=reach);
+                    if round > 0 {
+                        return own.chain(around(&mode.rung(start), -reach..=reach)).collect();
+                    }
+                    let seen = ranges.resonances_hz[places[p].on()].iter();
+                    let seen = seen.flat_map(|&hz| mode.placed(effect, start, hz));
+                    let seen: Vec<Vec<f64>> =
+                        seen.flat_map(|there| around(&there, AROUND_SEEN)).collect();
+                    if mode.is_sound(start) || seen.is_empty() {
+                        own.chain(seen).collect()
+                    } else {
+                        seen
+                    }
+                })
+                .collect();
+            let most = offers.iter().map(Vec::len).max().unwrap_or(0);
+            let nth = |offers: &Vec<Vec<f64>>, k: usize| offers[k.min(offers.len() - 1)].clone();
+            let mut rigs = Vec::with_capacity(most);
+            for k in 0..most {
                 let mut terms: Vec<Term> = known.iter().map(|(term, _)| term.clone()).collect();
                 terms.push(Term { effect, places: places.to_vec() });
                 let mut values: Vec<f64> =
                     known.iter().flat_map(|(_, v)| v.iter().copied()).collect();
-                values.extend(starts.iter().flat_map(|start| moved(start, ratio, mass_kg)));
-                rigs.push(rig_with(self.nominal, &knobs_of(&terms, &self.ranges), &values)?);
+                values.extend(offers.iter().flat_map(|offers| nth(offers, k)));
+                rigs.push(rig_with(self.nominal, &knobs_of(&terms, ranges), &values)?);
             }
             let axes = places.iter().fold(0, |m, &p| m | axes_seen(self.nominal, effect, p));
             let jobs: Vec<_> =
                 rigs.iter().map(|rig| (rig, Wanted { axes, monitors: false })).collect();
             let stacks = self.scene.residuals(&jobs, include)?;
-            for (start, &place) in starts.iter_mut().zip(places) {
+            for ((start, offers), &place) in starts.iter_mut().zip(&offers).zip(places) {
                 let mask = axes_seen(self.nominal, effect, place);
-                let left = |stack: &Stack| self.scene.cost_on(stack, mask);
-                let finite =
-                    stacks.iter().map(left).zip(&ratios).filter(|(left, _)| left.is_finite());
-                let best = finite.min_by(|a, b| a.0.total_cmp(&b.0));
-                if let Some((_, &ratio)) = best {
-                    *start = moved(start, ratio, mass_kg);
+                let left = stacks.iter().map(|stack| self.scene.cost_on(stack, mask)).enumerate();
+                let best = left.filter(|(_, left)| left.is_finite());
+                if let Some((k, _)) = best.min_by(|a, b| a.1.total_cmp(&b.1)) {
+                    *start = nth(offers, k);
                 }
             }
         }

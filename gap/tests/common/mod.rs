@@ -13,18 +13,36 @@ const AXES: usize = 3;
 const NOISE_UM: f64 = 0.004;
 
 /// Five recordings of sines on all axes of `rig`, each reading passed through `gauge` (axis, row, um).
+#[allow(dead_code, reason = "every test takes what it needs of this module")]
 pub fn session(rig: &Rig, gauge: impl Fn(usize, usize, f64) -> f64) -> Session {
+    session_of(rig, sines, gauge)
+}
+
+/// Drive (V) of the `nth` recording of an axis at a time, s: a sine.
+fn sines(nth: u32, axis: usize, time_s: f64) -> f64 {
+    let hz = 2.0 + 3.0 * f64::from(nth) + axis as f64;
+    (15.0 + 6.0 * f64::from(nth)) * (1.0 - (std::f64::consts::TAU * time_s * hz).cos())
+}
+
+/// The same, switched on and off.
+#[allow(dead_code, reason = "every test takes what it needs of this module")]
+pub fn squares(nth: u32, axis: usize, time_s: f64) -> f64 {
+    let hz = 4.0 + f64::from(nth) + 0.3 * axis as f64;
+    let is_on = (time_s * hz).fract() > 0.5;
+    if is_on { 20.0 + 10.0 * f64::from(nth) } else { 0.0 }
+}
+
+/// Five recordings of a drive of all axes of `rig`, each reading passed through `gauge` (axis, row, um).
+pub fn session_of(
+    rig: &Rig,
+    volts: impl Fn(u32, usize, f64) -> f64,
+    gauge: impl Fn(usize, usize, f64) -> f64,
+) -> Session {
     let mut rng = StdRng::seed_from_u64(7);
     let recordings = (0..5_u32)
         .map(|nth| {
             let drive: Vec<Vec<f64>> = (0..AXES)
-                .map(|axis| {
-                    let hz = 2.0 + 3.0 * f64::from(nth) + axis as f64;
-                    let volts = 15.0 + 6.0 * f64::from(nth);
-                    let turns = |row: usize| row as f64 / RATE_HZ * hz;
-                    let swing = |row| 1.0 - (std::f64::consts::TAU * turns(row)).cos();
-                    (0..ROWS).map(|row| volts * swing(row)).collect()
-                })
+                .map(|axis| (0..ROWS).map(|row| volts(nth, axis, row as f64 / RATE_HZ)).collect())
                 .collect();
             let columns: Vec<&[f64]> = drive.iter().map(Vec::as_slice).collect();
             let start_s = 10.0 * f64::from(nth);
@@ -50,7 +68,7 @@ pub fn session(rig: &Rig, gauge: impl Fn(usize, usize, f64) -> f64) -> Session {
                 })
                 .collect();
             let recording = Recording {
-                meta: Meta { start_s, settle_s: 0.1, ..Meta::new("sines", RATE_HZ) },
+                meta: Meta { start_s, settle_s: 0.1, ..Meta::new("drive", RATE_HZ) },
                 tick: (0..ROWS as u64).collect(),
                 drive_v: drive.iter().map(|c| c.iter().map(|&v| v as f32).collect()).collect(),
                 monitor_v: vec![None; AXES],
