@@ -15,7 +15,7 @@ use crate::locate;
 use crate::picture;
 use crate::scene::{Channel, Scene, Stack, TOLERANCE, Wanted};
 use crate::split::{hold_out_last_third, split};
-use crate::{Error, Options, intake, past, slow};
+use crate::{Error, Options, intake, past, slow, strangers};
 
 /// What `flexstage diagnose` writes.
 pub struct Outcome {
@@ -158,7 +158,22 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
         Some(found) => found::abstain(rig, &scene, found, &nominal.raw, gaps, &mut notes)?,
         None => None,
     };
-    if found.is_none() && rig.axes.len() > 1 && gaps.iter().any(|g| g.counts) {
+    let was_found = found.is_some();
+    found = match found {
+        Some(found) => {
+            let causes = found.model.terms.len();
+            let without = &options.exclude;
+            match strangers::unmask(&scene, rig, &ranges, without, found, &mut notes)? {
+                // What stays has to stand by itself.
+                Some(found) if found.model.terms.len() < causes => {
+                    found::abstain(rig, &scene, found, &nominal.raw, gaps, &mut notes)?
+                }
+                found => found,
+            }
+        }
+        None => None,
+    };
+    if !was_found && rig.axes.len() > 1 && gaps.iter().any(|g| g.counts) {
         bar.set_message("looking at slow motion alone");
         found = slow::cross_axis(&scene, rig, &effects, &ranges, &bar)?;
     }

@@ -301,6 +301,15 @@ fn restrict(rig: &Rig, found: &mut Found, trusted: &[bool], loud: &[bool]) -> Re
         let axes = alone.axes();
         axes.iter().all(|&a| trusted[a]) && axes.iter().any(|&a| loud[a])
     };
+    self::keep(rig, found, keep)
+}
+
+/// Keep the places that `keep` lets through, given the term and itself there alone.
+pub(crate) fn keep(
+    rig: &Rig,
+    found: &mut Found,
+    keep: impl Fn(&Term, &Term) -> bool,
+) -> Result<(), Error> {
     let mut places =
         found.model.terms.iter().flat_map(|t| t.places.iter().map(move |&p| (t, t.at(p))));
     if places.all(|(term, alone)| keep(term, &alone)) {
@@ -313,7 +322,7 @@ fn restrict(rig: &Rig, found: &mut Found, trusted: &[bool], loud: &[bool]) -> Re
         .map(|term| term.places.iter().any(|&p| keep(term, &term.at(p))))
         .collect();
     for model in [&mut found.model, &mut found.whole] {
-        let (terms, values): (Vec<Term>, Vec<Vec<f64>>) = model.part(keep).into_iter().unzip();
+        let (terms, values): (Vec<Term>, Vec<Vec<f64>>) = model.part(&keep).into_iter().unzip();
         let values = values.concat();
         let knobs = knobs_of(&terms, &model.ranges);
         model.fit.rig = crate::fit::rig_with(rig, &knobs, &values)?;

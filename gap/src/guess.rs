@@ -204,11 +204,11 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
                 ]));
             }
         }
-        "sensor-hum" | "amplifier-hum" => {
-            let (cos, sin, lines) = if info.name == "sensor-hum" {
-                ("cos_m", "sin_m", &ranges.lines_hz)
-            } else {
-                ("cos_v", "sin_v", &ranges.monitor_lines_hz)
+        "sensor-hum" | "amplifier-hum" | "floor-hum" => {
+            let (cos, sin, lines) = match info.name {
+                "sensor-hum" => ("cos_m", "sin_m", &ranges.lines_hz),
+                "amplifier-hum" => ("cos_v", "sin_v", &ranges.monitor_lines_hz),
+                _ => ("cos_n", "sin_n", &ranges.lines_hz),
             };
             let lines = if lines.is_empty() { &ranges.lines_hz } else { lines };
             for &hz in lines.iter().filter(|hz| **hz >= SLOWEST_HUM_HZ) {
@@ -258,6 +258,12 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
                 }
             }
         }
+        "gauge-warming" => {
+            for share in [0.1, 0.5, 2.0] {
+                let time_s = ("time_constant_s", share * ranges.session_s);
+                wanted.push(with(&[("growth", typical("growth")), time_s]));
+            }
+        }
         "friction" => {
             for metres in [0.003, 0.03, 0.2] {
                 wanted.push(with(&[
@@ -290,7 +296,9 @@ pub fn fine_step(effect: &str, parameter: &str, ranges: &Ranges) -> Option<f64> 
             Some(2.0e-3 * ranges.stiffness_n_per_m / (fast * fast))
         }
         // A tenth of a turn over the longest recording.
-        ("sensor-hum" | "amplifier-hum", "frequency_hz") => Some(0.02 / ranges.longest_s.max(1.0)),
+        ("sensor-hum" | "amplifier-hum" | "floor-hum", "frequency_hz") => {
+            Some(0.02 / ranges.longest_s.max(1.0))
+        }
         _ => None,
     }
 }

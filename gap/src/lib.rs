@@ -38,6 +38,7 @@ pub mod select;
 mod slow;
 mod spectra;
 pub mod split;
+mod strangers;
 mod threshold;
 mod trade;
 

@@ -1,13 +1,13 @@
 //! docs/rig.md is what a user reads: it must name every effect with every parameter and its unit.
 
-use host_sim::effects::catalogue;
+use host_sim::effects::{catalogue, strangers};
 
 #[test]
 fn the_table_of_effects_is_the_catalogue() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/rig.md");
     let text = std::fs::read_to_string(path).expect(path);
     let mut missing = Vec::new();
-    for effect in catalogue() {
+    for effect in catalogue().iter().chain(strangers()) {
         let info = effect.info();
         let row = text
             .lines()

@@ -65,9 +65,14 @@ fn the_catalogue_is_that_of_the_contract() {
     assert_eq!(effects::catalogue().len(), 27);
 }
 
+/// The catalogue and what is outside of it.
+fn all() -> impl Iterator<Item = &'static &'static dyn effects::Effect> {
+    effects::catalogue().iter().chain(effects::strangers())
+}
+
 #[test]
 fn descriptions_are_complete() {
-    for effect in effects::catalogue() {
+    for effect in all() {
         let info = effect.info();
         let name = info.name;
         for text in [info.physics, info.source, info.revealed_by] {
@@ -89,7 +94,7 @@ fn descriptions_are_complete() {
 #[test]
 fn at_zero_the_nominal_rig_is_left_bit_identical() {
     let nominal = probed(&Rig::named("handley").unwrap());
-    for effect in effects::catalogue() {
+    for effect in all() {
         let mut rig = Rig::named("handley").unwrap();
         for place in Place::all(effect.info().scope, 3) {
             let mut setting = Setting::at_zero(*effect, place);
@@ -109,7 +114,7 @@ fn at_zero_the_nominal_rig_is_left_bit_identical() {
 #[test]
 fn effects_grow_from_zero_without_a_jump() {
     let nominal = probed(&Rig::named("handley").unwrap());
-    for effect in effects::catalogue() {
+    for effect in all() {
         let name = effect.info().name;
         let change = |share: f64| {
             let output = probed(&with(*effect, share));

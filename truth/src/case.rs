@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::io;
+use std::ops::Range;
 use std::path::Path;
 
 use rand::rngs::StdRng;
@@ -160,12 +161,15 @@ impl Case {
             }
             3 => {
                 let fault = *Kind::ALL.choose(&mut rng).expect("not empty");
-                let axis = rng.random_range(0..axes);
-                let (size, ratio) = trial.sized_fault(fault, axis, draw.ratio, &mut rng);
-                world.faults.push(Fault::new(axis, fault, size, rng.random()));
+                let one = rng.random_range(0..axes);
+                let on = if rng.random_bool(0.3) { 0..axes } else { one..one + 1 };
+                let (size, ratio) = trial.sized_fault(fault, &on, draw.ratio, &mut rng);
+                for axis in on.clone() {
+                    world.faults.push(Fault::new(axis, fault, size, rng.random()));
+                }
                 truth.push(Truth {
                     effect: "unknown".into(),
-                    axes: vec![axis + 1],
+                    axes: on.map(|axis| axis + 1).collect(),
                     stage: fault.stage().into(),
                     note: format!("{}, size {size:.4e}", fault.name()),
                     ratio,
@@ -318,7 +322,7 @@ impl Trial<'_> {
     fn sized_fault(
         &self,
         kind: Kind,
-        axis: usize,
+        on: &Range<usize>,
         range: (f64, f64),
         rng: &mut impl Rng,
     ) -> (f64, f64) {
@@ -328,8 +332,8 @@ impl Trial<'_> {
         let wanted = rng.random_range(range.0.ln()..range.1.ln()).exp();
         let mut ratio = 0.0;
         for _ in 0..4 {
-            let fault = || Fault::new(axis, kind, size, seed);
-            ratio = self.ratio(&nominal, &self.positions(|world| world.faults.push(fault())));
+            let faults = || on.clone().map(|axis| Fault::new(axis, kind, size, seed));
+            ratio = self.ratio(&nominal, &self.positions(|world| world.faults.extend(faults())));
             if (range.0..=range.1).contains(&ratio) {
                 break;
             }

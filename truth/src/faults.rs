@@ -1,4 +1,4 @@
-//! What no catalogue of effects has: faults that come and go, or that jump. A diagnosis must not rename them.
+//! What no catalogue of effects has: faults that come and go, that jump, or that are there all the time. A diagnosis must not rename them.
 
 use std::f64::consts::TAU;
 
@@ -33,11 +33,19 @@ pub enum Kind {
     Brownout,
     /// The guide catches at random and lets go again (N).
     Catching,
+    /// A pump on the same table shakes the stage at one frequency (N).
+    Pump,
+    /// The gauge follows the stage with play (m).
+    Play,
+    /// The conditioner warms up, its gain creeps to another value (relative).
+    Warming,
+    /// The command arrives in coarse steps: lower bits of the converter are lost (V).
+    CoarseDrive,
 }
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 16] = [
         Self::Telegraph,
         Self::Freeze,
         Self::Dropout,
@@ -50,6 +58,10 @@ impl Kind {
         Self::StuckBit,
         Self::Brownout,
         Self::Catching,
+        Self::Pump,
+        Self::Play,
+        Self::Warming,
+        Self::CoarseDrive,
     ];
 
     /// Name, for the key.
@@ -67,16 +79,20 @@ impl Kind {
             Self::StuckBit => "stuck-bit",
             Self::Brownout => "brownouts",
             Self::Catching => "catching-guide",
+            Self::Pump => "pump",
+            Self::Play => "play",
+            Self::Warming => "warming",
+            Self::CoarseDrive => "coarse-drive",
         }
     }
 
     /// Where it sits, in the contract's words.
     pub fn stage(self) -> &'static str {
         match self {
-            Self::DeadTime => "drive",
+            Self::DeadTime | Self::CoarseDrive => "drive",
             Self::Brownout => "amplifier",
             Self::Catching => "mechanism",
-            Self::Knocks | Self::Vibration => "environment",
+            Self::Knocks | Self::Vibration | Self::Pump => "environment",
             _ => "sensor",
         }
     }
@@ -96,6 +112,10 @@ impl Kind {
             Self::StuckBit => (3e-8, 3e-7),
             Self::Brownout => (0.05, 0.5),
             Self::Catching => (5.0, 60.0),
+            Self::Pump => (0.3, 15.0),
+            Self::Play => (2e-8, 3e-7),
+            Self::Warming => (2e-3, 3e-2),
+            Self::CoarseDrive => (0.1, 2.0),
         };
         (rng.random_range(low.ln()..high.ln())).exp()
     }
@@ -129,6 +149,9 @@ impl Fault {
             Kind::Telegraph => rng.random_range(-2.0..0.3),
             Kind::GainFlip => rng.random_range(-0.7..0.7),
             Kind::NoiseBursts => rng.random_range(-0.5..0.3),
+            // Periods of 17 to 120 Hz.
+            Kind::Pump => rng.random_range(-2.08..-1.23),
+            Kind::Warming => rng.random_range(1.3..2.3),
             _ => rng.random_range(-1.0..-0.1),
         };
         let on = rng.random_bool(0.5);
@@ -212,6 +235,11 @@ impl Fault {
                 let counts = (reading / size).floor();
                 if counts.rem_euclid(2.0) == 0.0 { reading } else { reading - size }
             }
+            Kind::Play => {
+                self.value = self.value.clamp(reading - 0.5 * size, reading + 0.5 * size);
+                self.value
+            }
+            Kind::Warming => reading * (1.0 + size * (1.0 - (-time / every).exp())),
             _ => reading,
         }
     }
@@ -250,6 +278,14 @@ impl Fault {
         }
     }
 
+    /// Force that goes on between ticks (N).
+    pub fn shaking(&self, time: f64) -> f64 {
+        match self.kind {
+            Kind::Pump => self.size * (TAU * time / self.every_s + self.phase).sin(),
+            _ => 0.0,
+        }
+    }
+
     /// Added dead time (s).
     pub fn dead_time(&mut self, _tick: usize, time: f64, tick_s: f64) -> f64 {
         if self.kind != Kind::DeadTime {
@@ -266,8 +302,10 @@ impl Fault {
 
     /// What the amplifier is asked for.
     pub fn drive(&mut self, tick: usize, time: f64, asked: f64) -> f64 {
-        if self.kind != Kind::Brownout {
-            return asked;
+        match self.kind {
+            Kind::CoarseDrive => return (asked / self.size).round() * self.size,
+            Kind::Brownout => {}
+            _ => return asked,
         }
         // Called several times a tick; the dice are thrown once.
         if self.tick != Some(tick) || tick == 0 {

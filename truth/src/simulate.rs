@@ -227,6 +227,9 @@ pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Opt
                     asked = fault.drive(tick, time, asked);
                 }
                 let mut force = moving[index].outside_n;
+                for fault in world.faults.iter().filter(|fault| fault.axis == index) {
+                    force += fault.shaking(time);
+                }
                 for (stiffness, displacement) in
                     world.stiffness_cross[index].iter().zip(&displacements)
                 {

@@ -278,26 +278,42 @@ catalogue! {
     sensor_offset,
 }
 
+mod floor_hum;
+mod gauge_play;
+mod gauge_warming;
+
+/// What a rig may do too, and a diagnosis does not name: it is told from effects of the catalogue that look like it.
+static STRANGERS: &[&dyn Effect] =
+    &[&floor_hum::EFFECT, &gauge_warming::EFFECT, &gauge_play::EFFECT];
+
+/// Effects outside the catalogue. Rig files take them.
+pub fn strangers() -> &'static [&'static dyn Effect] {
+    STRANGERS
+}
+
+fn known() -> impl Iterator<Item = &'static dyn Effect> {
+    CATALOGUE.iter().chain(STRANGERS).copied()
+}
+
 /// All effects, in the order of the chain.
 pub fn catalogue() -> &'static [&'static dyn Effect] {
     CATALOGUE
 }
 
-/// The effect of this name.
+/// The effect of this name, in the catalogue or outside.
 pub fn find(name: &str) -> Option<&'static dyn Effect> {
-    CATALOGUE.iter().copied().find(|effect| effect.info().name == name)
+    known().find(|effect| effect.info().name == name)
 }
 
 /// Place of an effect in the catalogue.
 pub(crate) fn rank(effect: &dyn Effect) -> usize {
-    CATALOGUE
-        .iter()
+    known()
         .position(|known| known.info().name == effect.info().name)
-        .unwrap_or(CATALOGUE.len())
+        .unwrap_or(CATALOGUE.len() + STRANGERS.len())
 }
 
 pub(crate) fn unknown_effect(name: &str) -> String {
-    let known: Vec<&str> = CATALOGUE.iter().map(|effect| effect.info().name).collect();
+    let known: Vec<&str> = known().map(|effect| effect.info().name).collect();
     format!("{name}: unknown effect, expected one of {}", known.join(", "))
 }
 

@@ -166,6 +166,10 @@ pub trait LinearBlock: Send {
 
 /// A force on the mechanism that is not linear.
 pub trait Force: Send {
+    /// Come to rest at session time `time_s`.
+    fn start(&mut self, _time_s: f64) {}
+    /// Begin a tick of `step_s`.
+    fn begin(&mut self, _step_s: f64) {}
     /// Force (N) and its slope (N/m) if the tick ended at displacement `x_m`.
     fn force(&self, x_m: f64) -> (f64, f64);
     /// Accept the end of a tick of `step_s`, or the resting place when `step_s` is 0.

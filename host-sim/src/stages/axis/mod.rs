@@ -169,6 +169,7 @@ impl AxisSim {
             }
         }
         self.creep.settle(initial.held_v, initial.past.as_deref().unwrap_or_default());
+        self.forces.iter_mut().for_each(|force| force.start(time_s));
         self.rest(0.0);
         for force in &mut self.forces {
             force.commit(self.mechanism.position_m(), 0.0);
@@ -244,6 +245,8 @@ impl AxisSim {
         self.level = level.min(self.mechanism.levels() - 1);
         (self.free_m, self.beta) = self.mechanism.end_position(self.level, self.force_n);
         self.next_position_m = self.mechanism.position_m();
+        let step_s = self.step_s;
+        self.forces.iter_mut().for_each(|force| force.begin(step_s));
         if !self.creep.is_empty() {
             (self.slow_v, self.slow_per_v) = self.creep.begin(self.transducer_v);
         }

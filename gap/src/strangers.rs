@@ -1,0 +1,125 @@
+//! Effects outside the catalogue that pass for some inside it.
+//!
+//! Causes that close nearly all of a gap are not the right ones if something that the catalogue does not have leaves clearly less. A floor
+//! that shakes at one frequency is the hum of a gauge but for the memory that it leaves in the stack: a per cent of its energy, and no
+//! accident. Such causes are taken back, and the answer says what it looks like instead.
+
+use std::fmt::Write as _;
+
+use host_sim::effects::{Role, strangers};
+use host_sim::rig::Rig;
+
+use crate::Error;
+use crate::found::{Found, keep};
+use crate::guess::Ranges;
+use crate::knobs::EffectRef;
+use crate::model::{Model, Term, start_terms};
+use crate::scene::{Channel, Scene, Wanted};
+use crate::select::{Search, WORTH_ABSOLUTE};
+
+/// Share of the gap that causes have to leave before a stranger is looked for.
+const OPEN: f64 = 1.0e-3;
+/// Most that a stranger may leave, as a share of what as many causes leave.
+const CLEARLY_LESS: f64 = 0.5;
+
+/// Take back the causes in whose place a stranger leaves clearly less. `None` when no cause stays.
+pub(crate) fn unmask(
+    scene: &Scene,
+    rig: &Rig,
+    ranges: &Ranges,
+    exclude: &[String],
+    mut found: Found,
+    notes: &mut Vec<String>,
+) -> Result<Option<Found>, Error> {
+    let wanted = strangers().iter().filter(|s| exclude.iter().all(|name| name != s.info().name));
+    let mut best: Option<(Model, Vec<&str>)> = None;
+    for &stranger in wanted {
+        let Some(model) = instead(scene, rig, ranges, stranger, &found.model)? else { continue };
+        if best.as_ref().is_none_or(|(known, _)| model.fit.cost < known.fit.cost) {
+            let stays = model.key();
+            let gone = found.model.key().into_iter().filter(|name| !stays.contains(name)).collect();
+            best = Some((model, gone));
+        }
+    }
+    let Some((model, gone)) = best else { return Ok(Some(found)) };
+    notes.push(sentence(&model, &gone));
+    keep(rig, &mut found, |_, alone| !gone.contains(&alone.name()))?;
+    Ok((!found.model.terms.is_empty()).then_some(found))
+}
+
+/// The best model with `stranger` in the place of one cause that it passes for, or of all causes, if that leaves clearly less of the
+/// recordings that were fitted; in the place of several it need not leave more.
+fn instead(
+    scene: &Scene,
+    rig: &Rig,
+    ranges: &Ranges,
+    stranger: EffectRef,
+    model: &Model,
+) -> Result<Option<Model>, Error> {
+    let is_like = |term: &Term| stranger.info().confused_with.contains(&term.name());
+    if !model.terms.iter().any(is_like) {
+        return Ok(None);
+    }
+    let fitted = |c: &Channel| !c.held_out;
+    let tick = || {};
+    let search = Search::new(scene, rig, &[stranger], ranges, &fitted, &tick)?;
+    let left = model.fit.cost - search.noise;
+    if left < WORTH_ABSOLUTE.max(OPEN * search.gap) {
+        return Ok(None);
+    }
+    let all = model.terms.len();
+    let mut kept: Vec<Vec<usize>> = vec![Vec::new()];
+    if all > 1 {
+        let like = (0..all).filter(|&t| is_like(&model.terms[t]));
+        kept.extend(like.map(|t| (0..all).filter(|&other| other != t).collect()));
+    }
+    let mut best: Option<Model> = None;
+    for kept in kept {
+        // A stranger that accounts for everything by itself needs no cause beside it.
+        if best.as_ref().is_some_and(|best| best.terms.len() <= kept.len()) {
+            break;
+        }
+        let terms = start_terms(model).into_iter().enumerate();
+        let others: Vec<_> =
+            terms.filter(|(t, _)| kept.contains(t)).map(|(_, term)| term).collect();
+        let without = model.with(rig, |t| kept.contains(&t))?;
+        let stack = scene.residuals_at(&without, Wanted::ALL, fitted)?;
+        let gains = search.screen.test(scene, &stack, None);
+        let Some((effect, gains)) = search.shortlist(&gains, &[], 1).pop() else { continue };
+        let other = search.fit_terms((&others, &stack), effect, &gains)?;
+        let most = if other.terms.len() < all { 1.0 } else { CLEARLY_LESS } * left;
+        let saves = model.fit.cost - other.fit.cost;
+        let is_better = other.fit.cost - search.noise < most;
+        let is_worth_it = other.terms.len() < all || saves > WORTH_ABSOLUTE.max(OPEN * search.gap);
+        let is_best = best.as_ref().is_none_or(|best| other.fit.cost < best.fit.cost);
+        if is_better && is_worth_it && is_best {
+            best = Some(other);
+        }
+    }
+    Ok(best)
+}
+
+/// What a person is told of a model whose last term is a stranger that stands where the causes of these names were.
+fn sentence(model: &Model, gone: &[&str]) -> String {
+    let last = model.terms.len() - 1;
+    let term = &model.terms[last];
+    let info = term.effect.info();
+    let mut places: Vec<usize> = (0..term.places.len()).collect();
+    places.sort_by_key(|&p| term.places[p]);
+    let mut sizes = String::new();
+    for p in places {
+        let _ = write!(sizes, "{}: ", term.places[p]);
+        let values = info.parameters.iter().zip(model.values(last, p));
+        let told = values.filter(|(p, value)| p.role == Role::Shape || **value != p.zero);
+        let told: Vec<String> =
+            told.map(|(p, value)| format!("{} {value:.4} {}", p.name, p.unit)).collect();
+        let _ = write!(sizes, "{}; ", told.join(", "));
+    }
+    format!(
+        "{} would account for much of the gap, but {} leaves clearly less ({}). {} It is not in the catalogue, so no cause is named for it.",
+        gone.join(" and "),
+        info.name,
+        sizes.trim_end_matches("; "),
+        info.physics
+    )
+}

@@ -1,0 +1,62 @@
+//! What the catalogue does not have must not be given the name of what it resembles.
+
+use gap::diagnosis::Verdict;
+use gap::{Diagnosis, Options, diagnose};
+use host_sim::effects::Place;
+use host_sim::rig::Rig;
+
+mod common;
+
+fn diagnosed(effect: &str, settings: &[(&str, f64)], exclude: &[&str]) -> Diagnosis {
+    let nominal = Rig::named("handley").expect("library rig");
+    let mut rig = nominal.clone();
+    for (axis, (parameter, value)) in
+        (0..3).flat_map(|axis| settings.iter().map(move |setting| (axis, *setting)))
+    {
+        rig.set(effect, Place::Axis(axis), parameter, value).expect("known parameter");
+    }
+    let session = common::session(&rig, |_, _, um| um);
+    let exclude = exclude.iter().map(|name| (*name).to_string()).collect();
+    let options = Options { exclude, ..Options::default() };
+    diagnose(&nominal, &session, &options).expect("a diagnosis").diagnosis
+}
+
+fn assert_nothing_is_named(diagnosis: &Diagnosis, stranger: &str) {
+    let named: Vec<&str> = diagnosis.causes.iter().map(|c| c.effect.as_str()).collect();
+    assert_eq!((diagnosis.verdict, &named[..]), (Verdict::Unexplained, &[][..]));
+    assert!(diagnosis.notes.iter().any(|n| n.contains(stranger)), "{:?}", diagnosis.notes);
+}
+
+const SHAKEN: [(&str, f64); 3] = [("cos_n", 6.0), ("sin_n", 5.0), ("frequency_hz", 31.3)];
+
+#[test]
+fn a_floor_that_shakes_is_no_hum_of_the_gauge() {
+    assert_nothing_is_named(&diagnosed("floor-hum", &SHAKEN, &[]), "floor-hum");
+}
+
+#[test]
+fn without_the_stranger_it_would_be_called_one() {
+    let diagnosis = diagnosed("floor-hum", &SHAKEN, &["floor-hum"]);
+    assert!(diagnosis.causes.iter().any(|c| c.effect == "sensor-hum"), "{:?}", diagnosis.gap);
+}
+
+#[test]
+fn a_hum_of_the_gauge_is_one() {
+    let hum = [("cos_m", 6.0e-8), ("sin_m", 5.0e-8), ("frequency_hz", 50.02)];
+    let diagnosis = diagnosed("sensor-hum", &hum, &[]);
+    let named: Vec<&str> = diagnosis.causes.iter().map(|c| c.effect.as_str()).collect();
+    assert_eq!((diagnosis.verdict, &named[..]), (Verdict::Explained, &["sensor-hum"][..]));
+}
+
+#[test]
+fn a_gain_that_warms_up_is_no_gain() {
+    let warming = [("growth", 0.03), ("time_constant_s", 20.0)];
+    assert_nothing_is_named(&diagnosed("gauge-warming", &warming, &[]), "gauge-warming");
+}
+
+#[test]
+fn a_gain_is_one() {
+    let diagnosis = diagnosed("sensor-gain", &[("ratio", 1.02)], &[]);
+    assert_eq!(diagnosis.verdict, Verdict::Explained);
+    assert!(!diagnosis.causes.is_empty());
+}
