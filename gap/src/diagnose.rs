@@ -15,6 +15,7 @@ use crate::locate;
 use crate::picture;
 use crate::scene::{Channel, Scene, Stack, TOLERANCE, Wanted};
 use crate::split::{hold_out_last_third, split};
+use crate::strangers::Masked;
 use crate::{Error, Options, intake, past, slow, strangers};
 
 /// What `flexstage diagnose` writes.
@@ -159,27 +160,23 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
         None => None,
     };
     let was_found = found.is_some();
-    found = match found {
-        Some(found) => {
-            let causes = found.model.terms.len();
-            let without = &options.exclude;
-            match strangers::unmask(&scene, rig, &ranges, without, found, &mut notes)? {
-                // What stays has to stand by itself.
-                Some(found) if found.model.terms.len() < causes => {
-                    found::abstain(rig, &scene, found, &nominal.raw, gaps, &mut notes)?
-                }
-                found => found,
-            }
-        }
-        None => None,
-    };
+    let mut masked = None;
+    if let Some(mut known) = found.take() {
+        masked = strangers::unmask(&scene, rig, &ranges, &options.exclude, &mut known)?;
+        found = match (&masked, known.model.terms.is_empty()) {
+            (None, _) => Some(known),
+            (Some(_), true) => None,
+            // What stays has to stand by itself.
+            (Some(_), false) => found::abstain(rig, &scene, known, &nominal.raw, gaps, &mut notes)?,
+        };
+    }
     if !was_found && rig.axes.len() > 1 && gaps.iter().any(|g| g.counts) {
         bar.set_message("looking at slow motion alone");
         found = slow::cross_axis(&scene, rig, &effects, &ranges, &bar)?;
     }
 
     bar.set_message("writing the answer");
-    let outcome = answer(rig, &scene, &nominal, found, notes)?;
+    let outcome = answer(rig, &scene, &nominal, found, masked, notes)?;
     bar.finish_and_clear();
     Ok(outcome)
 }
@@ -197,6 +194,7 @@ fn answer(
     scene: &Scene,
     nominal: &Nominal,
     found: Option<Found>,
+    masked: Option<Masked>,
     mut notes: Vec<String>,
 ) -> Result<Outcome, Error> {
     let Nominal { raw: raw_before, cuts, electrical, gaps } = nominal;
@@ -247,7 +245,13 @@ fn answer(
     let location = if verdict == Verdict::NoGap {
         Vec::new()
     } else {
-        locate::locations(scene, cuts, &raw_after, electrical, &causes, &claimed)
+        locate::locations(
+            scene,
+            cuts,
+            &raw_after,
+            (electrical, masked.as_ref()),
+            (&causes, &claimed),
+        )
     };
     let recordings = (0..scene.tracks.len())
         .map(|track| {
@@ -289,6 +293,7 @@ fn answer(
         recordings,
         band,
         in_order_nm,
+        looks_like: masked.map(|m| m.words),
         notes,
     };
     let cuts_after = locate::cuts(scene, &raw_after, &white_after);

@@ -43,6 +43,9 @@ pub struct Diagnosis {
     /// stage, nm; only where that makes a difference. A replay of single files, which `gap` stands for, knows nothing of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub in_order_nm: Option<f64>,
+    /// What is outside the catalogue and accounts for the gap, or a part of it, better than the causes that would be named; in words.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub looks_like: Option<String>,
     /// Statements that fit no field: what cannot be told from this session, what was disturbed.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,

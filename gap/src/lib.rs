@@ -93,6 +93,8 @@ pub fn sentence(diagnosis: &Diagnosis) -> String {
         );
     }
     let closed = 100.0 * gap.closed;
+    let looks_like =
+        diagnosis.looks_like.as_ref().map_or(String::new(), |words| format!(" {words}"));
     let in_order = diagnosis.in_order_nm.map_or(String::new(), |nm| {
         format!(" Taken in the session's order, not file by file, {nm:.1} nm are left.")
     });
@@ -106,7 +108,7 @@ pub fn sentence(diagnosis: &Diagnosis) -> String {
             gap.before_nm, gap.after_nm, gap.floor_nm
         ),
         Verdict::PartlyExplained => format!(
-            "{causes} close {closed:.1} % of the gap ({:.1} nm to {:.1} nm, noise {:.1} nm); nothing in the catalogue accounts for the rest.{in_order}",
+            "{causes} close {closed:.1} % of the gap ({:.1} nm to {:.1} nm, noise {:.1} nm); nothing in the catalogue accounts for the rest.{in_order}{looks_like}",
             gap.before_nm, gap.after_nm, gap.floor_nm
         ),
         Verdict::Unexplained => {
@@ -114,7 +116,7 @@ pub fn sentence(diagnosis: &Diagnosis) -> String {
                 format!(" It lies mostly in the {} of axis {}.", l.stage, l.axis)
             });
             format!(
-                "There is a gap of {:.1} nm (noise {:.1} nm) that nothing in the catalogue explains.{place}",
+                "There is a gap of {:.1} nm (noise {:.1} nm) that nothing in the catalogue explains.{place}{looks_like}",
                 gap.before_nm, gap.floor_nm
             )
         }

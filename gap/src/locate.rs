@@ -10,6 +10,7 @@ use crate::diagnosis::{Cause, Location};
 use crate::floor::Kind;
 use crate::pyramid::centre_hz;
 use crate::scene::{Scene, Stack};
+use crate::strangers::Masked;
 
 /// Shares of the gap energy in different cuts.
 #[derive(Debug, Clone, Default)]
@@ -248,13 +249,12 @@ fn leftover_stage(
 
 /// Shares of the explainable gap by axis and stage. Causes claim their part of their axes; the rest is attributed by signature.
 /// `claimed[cause][axis]` is the gap energy that a cause closes on an axis.
-pub fn locations(
+pub(crate) fn locations(
     scene: &Scene,
     cuts: &Cuts,
     raw_after: &Stack,
-    electrical: &[Option<bool>],
-    causes: &[Cause],
-    claimed: &[Vec<f64>],
+    (electrical, masked): (&[Option<bool>], Option<&Masked>),
+    (causes, claimed): (&[Cause], &[Vec<f64>]),
 ) -> Vec<Location> {
     let total: f64 = cuts.axis.iter().sum();
     if total <= 0.0 {
@@ -288,7 +288,10 @@ pub fn locations(
                 .filter(|c| *c.1 > 0.5 * energy);
             let stage = match main {
                 Some((cause, _)) => causes[cause].stage.clone(),
-                None => leftover_stage(scene, raw_after, electrical, axis).to_string(),
+                None => match masked.filter(|masked| masked.axes.contains(&axis)) {
+                    Some(masked) => masked.stage.to_string(),
+                    None => leftover_stage(scene, raw_after, electrical, axis).to_string(),
+                },
             };
             add(axis, &stage, rest);
         }

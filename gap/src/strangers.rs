@@ -22,15 +22,24 @@ const OPEN: f64 = 1.0e-3;
 /// Most that a stranger may leave, as a share of what as many causes leave.
 const CLEARLY_LESS: f64 = 0.5;
 
-/// Take back the causes in whose place a stranger leaves clearly less. `None` when no cause stays.
+/// A stranger that passed for causes.
+pub(crate) struct Masked {
+    /// Where it sits.
+    pub stage: &'static str,
+    /// On which axes.
+    pub axes: Vec<usize>,
+    /// What a person is told.
+    pub words: String,
+}
+
+/// Take back the causes in whose place a stranger leaves clearly less; it is given if there is one.
 pub(crate) fn unmask(
     scene: &Scene,
     rig: &Rig,
     ranges: &Ranges,
     exclude: &[String],
-    mut found: Found,
-    notes: &mut Vec<String>,
-) -> Result<Option<Found>, Error> {
+    found: &mut Found,
+) -> Result<Option<Masked>, Error> {
     let wanted = strangers().iter().filter(|s| exclude.iter().all(|name| name != s.info().name));
     let mut best: Option<(Model, Vec<&str>)> = None;
     for &stranger in wanted {
@@ -41,10 +50,13 @@ pub(crate) fn unmask(
             best = Some((model, gone));
         }
     }
-    let Some((model, gone)) = best else { return Ok(Some(found)) };
-    notes.push(sentence(&model, &gone));
-    keep(rig, &mut found, |_, alone| !gone.contains(&alone.name()))?;
-    Ok((!found.model.terms.is_empty()).then_some(found))
+    let Some((model, gone)) = best else { return Ok(None) };
+    keep(rig, found, |_, alone| !gone.contains(&alone.name()))?;
+    Ok(model.terms.last().map(|term| Masked {
+        stage: term.effect.info().stage.name(),
+        axes: term.axes(),
+        words: sentence(&model, &gone),
+    }))
 }
 
 /// The best model with `stranger` in the place of one cause that it passes for, or of all causes, if that leaves clearly less of the

@@ -95,6 +95,7 @@ pub fn diagnose(rig: &PlatformRig, session: &Session) -> Result<Outcome, Platfor
     let diagnosis = Diagnosis {
         band: None,
         in_order_nm: None,
+        looks_like: None,
         verdict,
         location: location(data, &selection, &gap, verdict, &split),
         causes: selection.accepted.iter().map(|accepted| cause(accepted, &found, memory)).collect(),

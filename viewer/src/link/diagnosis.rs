@@ -106,8 +106,10 @@ fn sentence(json: &serde_json::Value) -> String {
     let in_order = json["in_order_nm"]
         .as_f64()
         .map_or(String::new(), |nm| format!(" ({nm:.1} nm in the session's order)"));
+    let looks_like =
+        json["looks_like"].as_str().map_or(String::new(), |words| format!(". {words}"));
     format!(
-        "{}{}, gap {:.1} nm before, {:.1} nm after{in_order}",
+        "{}{}, gap {:.1} nm before, {:.1} nm after{in_order}{looks_like}",
         json["verdict"].as_str().unwrap_or("?"),
         if causes.is_empty() { String::new() } else { format!(": {}", causes.join(" + ")) },
         json["gap"]["before_nm"].as_f64().unwrap_or(f64::NAN),
