@@ -1,15 +1,19 @@
 //! When a gap is a gap, when a cause is a cause, and when the tool must say that it does not know.
 
+use statrs::statistics::Statistics;
+
 use crate::diagnosis::Verdict;
 use crate::energy::Energies;
 use crate::floor::Kind;
-use crate::scene::{Scene, Stack};
+use crate::scene::{Channel, Scene, Stack};
 
 /// Excess energy of an axis, as a share of its noise energy over the session, that counts as a gap: a quarter of sigma. The noise
 /// is known to 2 % of its energy, and another integrator differs by as much again at steps of 100 V.
 const AXIS_EXCESS: f64 = 0.06;
 /// The same for one recording of one axis: 0.55 sigma.
 const CHANNEL_EXCESS: f64 = 0.3;
+/// ... beyond this share of the motion in it: no two integrators agree better on the edges of a 100 V square.
+const SHARE_OF_MOTION: f64 = 5.0e-4;
 /// ... and it must be this many standard deviations of a chi-square sum.
 const SIGNIFICANT: f64 = 6.0;
 /// Held-out share that an explanation must close to be called one.
@@ -38,7 +42,8 @@ pub fn gaps(scene: &Scene, stack: &Stack) -> Vec<AxisGapSize> {
         let (own, floor, spread) = channel.excess_of(row);
         let significant = own > SIGNIFICANT * spread.sqrt();
         if significant {
-            worst[channel.axis] = worst[channel.axis].max(own / floor / CHANNEL_EXCESS);
+            let allowed = row.len() as f64 * (SHARE_OF_MOTION * motion(scene, channel)).powi(2);
+            worst[channel.axis] = worst[channel.axis].max((own - allowed) / floor / CHANNEL_EXCESS);
         }
         if channel.kind == Kind::Position {
             excess[channel.axis] += own;
@@ -53,6 +58,18 @@ pub fn gaps(scene: &Scene, stack: &Stack) -> Vec<AxisGapSize> {
             AxisGapSize { ratio, counts: whole || worst[axis] > 1.0 }
         })
         .collect()
+}
+
+/// Standard deviation of what a channel measured, in units of its noise.
+fn motion(scene: &Scene, channel: &Channel) -> f64 {
+    let track = &scene.tracks[channel.track];
+    let measured = match channel.kind {
+        Kind::Position => &track.position_um[channel.axis],
+        Kind::Monitor => &track.monitor_v[channel.axis],
+    };
+    let Some(measured) = measured else { return 0.0 };
+    let present = channel.range.clone().filter(|&i| track.present[i]);
+    present.map(|i| f64::from(measured[i])).population_std_dev() / channel.sigma
 }
 
 /// Whether the difference between two stacks would count as a gap, on any axis or in any recording of one.
