@@ -1,4 +1,5 @@
-//! Where a resonance lies, before a fit: a lightly damped one is narrower than the step that a fit takes towards it.
+//! Where a resonance lies, and how many poles a lag has, before a fit: a lightly damped mode is narrower than the step that a fit takes
+//! towards it.
 //!
 //! A mode with a quality of a hundred spans one per cent of its frequency. From three per cent beside it, a fit sees a hill that it can
 //! only lower by damping the model's own mode away. So frequencies around the one that the screen liked are tried first.
@@ -100,6 +101,16 @@ impl Mode {
     }
 }
 
+/// Lags about one that a screen found, with one pole and with two: what two take away they give back later, and from one a fit does not
+/// get there.
+fn lags(start: &[f64]) -> Vec<Vec<f64>> {
+    let mut lags = vec![start.to_vec()];
+    for ratio in [0.5, 0.7, 1.0, 1.4, 2.0] {
+        lags.extend([0.0, 0.25, 0.5].map(|curvature| vec![ratio * start[0], curvature]));
+    }
+    lags
+}
+
 impl Search<'_> {
     /// Start values of `effect` at `places`, one set a place, moved to the frequencies that suit the session best beside the
     /// `known` terms, which leave `left`, or within the reach of a threshold. Effects with neither stay as they are.
@@ -115,6 +126,10 @@ impl Search<'_> {
             .iter()
             .filter_map(|place| Mode::of(name, &self.nominal.axes[place.on()]))
             .collect();
+        if name == "sensor-bandwidth" {
+            let offers: Vec<Vec<Vec<f64>>> = starts.iter().map(|start| lags(start)).collect();
+            return self.best_of_offers(known, (effect, places), &offers, &self.telling(left));
+        }
         if modes.is_empty() {
             return if effect.info().threshold {
                 self.within_threshold(known, effect, places, starts)
@@ -123,7 +138,6 @@ impl Search<'_> {
             };
         }
         let telling = self.telling(left);
-        let include = |c: &Channel| (self.include)(c) && telling.contains(&c.track);
         let ranges = &self.ranges;
         for (round, (reach, step)) in SCANS.into_iter().enumerate() {
             let offers: Vec<Vec<Vec<f64>>> = (0..places.len())
@@ -148,31 +162,40 @@ impl Search<'_> {
                     }
                 })
                 .collect();
-            let most = offers.iter().map(Vec::len).max().unwrap_or(0);
-            let nth = |offers: &Vec<Vec<f64>>, k: usize| offers[k.min(offers.len() - 1)].clone();
-            let mut rigs = Vec::with_capacity(most);
-            for k in 0..most {
-                let mut terms: Vec<Term> = known.iter().map(|(term, _)| term.clone()).collect();
-                terms.push(Term { effect, places: places.to_vec() });
-                let mut values: Vec<f64> =
-                    known.iter().flat_map(|(_, v)| v.iter().copied()).collect();
-                values.extend(offers.iter().flat_map(|offers| nth(offers, k)));
-                rigs.push(rig_with(self.nominal, &knobs_of(&terms, ranges), &values)?);
-            }
-            let axes = places.iter().fold(0, |m, &p| m | axes_seen(self.nominal, effect, p));
-            let jobs: Vec<_> =
-                rigs.iter().map(|rig| (rig, Wanted { axes, monitors: false })).collect();
-            let stacks = self.scene.residuals(&jobs, include)?;
-            for ((start, offers), &place) in starts.iter_mut().zip(&offers).zip(places) {
-                let mask = axes_seen(self.nominal, effect, place);
-                let left = stacks.iter().map(|stack| self.scene.cost_on(stack, mask)).enumerate();
-                let best = left.filter(|(_, left)| left.is_finite());
-                if let Some((k, _)) = best.min_by(|a, b| a.1.total_cmp(&b.1)) {
-                    *start = nth(offers, k);
-                }
-            }
+            starts = self.best_of_offers(known, (effect, places), &offers, &telling)?;
         }
         Ok(starts)
+    }
+
+    /// For every place the one of its offers that leaves least of some recordings, beside the `known` terms.
+    fn best_of_offers(
+        &self,
+        known: &[(Term, Vec<f64>)],
+        (effect, places): (EffectRef, &[Place]),
+        offers: &[Vec<Vec<f64>>],
+        telling: &[usize],
+    ) -> Result<Vec<Vec<f64>>, Error> {
+        let include = |c: &Channel| (self.include)(c) && telling.contains(&c.track);
+        let most = offers.iter().map(Vec::len).max().unwrap_or(0);
+        let nth = |offers: &Vec<Vec<f64>>, k: usize| offers[k.min(offers.len() - 1)].clone();
+        let mut rigs = Vec::with_capacity(most);
+        for k in 0..most {
+            let mut terms: Vec<Term> = known.iter().map(|(term, _)| term.clone()).collect();
+            terms.push(Term { effect, places: places.to_vec() });
+            let mut values: Vec<f64> = known.iter().flat_map(|(_, v)| v.iter().copied()).collect();
+            values.extend(offers.iter().flat_map(|offers| nth(offers, k)));
+            rigs.push(rig_with(self.nominal, &knobs_of(&terms, &self.ranges), &values)?);
+        }
+        let axes = places.iter().fold(0, |m, &p| m | axes_seen(self.nominal, effect, p));
+        let jobs: Vec<_> = rigs.iter().map(|rig| (rig, Wanted { axes, monitors: false })).collect();
+        let stacks = self.scene.residuals(&jobs, include)?;
+        let best = |offers: &Vec<Vec<f64>>, place: Place| {
+            let mask = axes_seen(self.nominal, effect, place);
+            let left = stacks.iter().map(|stack| self.scene.cost_on(stack, mask)).enumerate();
+            let finite = left.filter(|(_, left)| left.is_finite());
+            nth(offers, finite.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(k, _)| k))
+        };
+        Ok(offers.iter().zip(places).map(|(offers, &place)| best(offers, place)).collect())
     }
 
     /// The recordings that hold most of what is left. A frequency that is off shows where the resonance rings, and costs a simulation
