@@ -25,3 +25,30 @@ fn every_axis_gets_the_mass_that_it_has() {
         assert!((value - kg).abs() < 0.01 * kg, "axis {}: {value} kg for {kg}", axis + 1);
     }
 }
+
+#[test]
+fn a_lag_of_two_poles_is_one_cause() {
+    let nominal = Rig::named("handley").expect("library rig");
+    let mut slow = nominal.clone();
+    for axis in 0..3 {
+        let mut set = |parameter, value| {
+            slow.set("sensor-bandwidth", Place::Axis(axis), parameter, value)
+                .expect("known parameter");
+        };
+        set("time_constant_s", 5.2e-4);
+        set("curvature", 0.49);
+    }
+    let session = common::session_of(&slow, common::squares, |_, _, um| um);
+    let outcome = diagnose(&nominal, &session, &Options::default()).expect("a diagnosis");
+    let diagnosis = outcome.diagnosis;
+    let found: Vec<_> = diagnosis.causes.iter().map(|c| (c.effect.as_str(), &c.axes[..])).collect();
+    assert_eq!(found, [("sensor-bandwidth", &[1, 2, 3][..])], "{:?}", diagnosis.gap);
+    // Axes that agree share a number.
+    let parameters = diagnosis.causes[0].parameters.iter();
+    let curvatures: Vec<f64> = parameters
+        .filter(|(name, _)| name.starts_with("curvature"))
+        .map(|(_, fitted)| fitted.value)
+        .collect();
+    assert!(!curvatures.is_empty());
+    assert!(curvatures.iter().all(|c| (c - 0.49).abs() < 0.02), "{curvatures:?}");
+}
