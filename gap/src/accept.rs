@@ -12,7 +12,7 @@ use crate::scene::{Channel, Scene, Stack};
 const AXIS_EXCESS: f64 = 0.06;
 /// The same for one recording of one axis: 0.55 sigma.
 const CHANNEL_EXCESS: f64 = 0.3;
-/// ... beyond this share of the motion in it: no two integrators agree better on the edges of a 100 V square.
+/// ... beyond this share of the motion in it: on the edges of 100 V squares integrators differ by about as much.
 const SHARE_OF_MOTION: f64 = 5.0e-4;
 /// ... and it must be this many standard deviations of a chi-square sum.
 const SIGNIFICANT: f64 = 6.0;

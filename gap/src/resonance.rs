@@ -113,7 +113,7 @@ fn lags(start: &[f64]) -> Vec<Vec<f64>> {
 
 impl Search<'_> {
     /// Start values of `effect` at `places`, one set a place, moved to the frequencies that suit the session best beside the
-    /// `known` terms, which leave `left`, or within the reach of a threshold. Effects with neither stay as they are.
+    /// `known` terms, which leave `left`, or to the poles that do, or within the reach of a threshold. Others stay as they are.
     pub(crate) fn tuned(
         &self,
         (known, left): (&[(Term, Vec<f64>)], &Stack),

@@ -74,9 +74,12 @@ fn instead(
     }
     let fitted = |c: &Channel| !c.held_out;
     let tick = || {};
+    let left = model.fit.cost - scene.noise_on(&model.fit.stack, u32::MAX);
+    if left < WORTH_ABSOLUTE {
+        return Ok(None);
+    }
     let search = Search::new(scene, rig, &[stranger], ranges, &fitted, &tick)?;
-    let left = model.fit.cost - search.noise;
-    if left < WORTH_ABSOLUTE.max(OPEN * search.gap) {
+    if left < OPEN * search.gap {
         return Ok(None);
     }
     let all = model.terms.len();

@@ -1,4 +1,5 @@
 //! Sessions that need no file.
+#![allow(dead_code, reason = "every test takes what it needs of this module")]
 
 use host_sim::rig::Rig;
 use host_sim::{Axes, Input, simulate};
@@ -13,7 +14,6 @@ const AXES: usize = 3;
 const NOISE_UM: f64 = 0.004;
 
 /// Five recordings of sines on all axes of `rig`, each reading passed through `gauge` (axis, row, um).
-#[allow(dead_code, reason = "every test takes what it needs of this module")]
 pub fn session(rig: &Rig, gauge: impl Fn(usize, usize, f64) -> f64) -> Session {
     session_of(rig, sines, gauge)
 }
@@ -25,7 +25,6 @@ fn sines(nth: u32, axis: usize, time_s: f64) -> f64 {
 }
 
 /// The same, switched on and off.
-#[allow(dead_code, reason = "every test takes what it needs of this module")]
 pub fn squares(nth: u32, axis: usize, time_s: f64) -> f64 {
     let hz = 4.0 + f64::from(nth) + 0.3 * axis as f64;
     let is_on = (time_s * hz).fract() > 0.5;
