@@ -37,7 +37,10 @@ fn main() -> Result<()> {
     }
 }
 
-/// The checkout that this program was built from.
+/// The checkout that `cargo xtask` was called in; of a binary called by itself, the one it was built from. (Two checkouts that share a
+/// target folder share this binary too, and cargo does not build it again for the second.)
 pub fn workspace() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().map_or_else(PathBuf::new, Path::to_path_buf)
+    let package = std::env::var_os("CARGO_MANIFEST_DIR")
+        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")), PathBuf::from);
+    package.parent().map_or_else(PathBuf::new, Path::to_path_buf)
 }
