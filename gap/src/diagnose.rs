@@ -162,7 +162,7 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
     let was_found = found.is_some();
     let mut masked = None;
     if let Some(mut known) = found.take() {
-        masked = strangers::unmask(&scene, rig, &ranges, &options.exclude, &mut known)?;
+        masked = strangers::unmask(&scene, rig, &options.exclude, &mut known)?;
         found = match (&masked, known.model.terms.is_empty()) {
             (None, _) => Some(known),
             (Some(_), true) => None,

@@ -64,7 +64,7 @@ pub(crate) fn search(
     let standings = ambiguity::standings(&search, &model);
     bar.set_message("checking on the recordings held out");
     let missed = missed(scene, rig, &model)?;
-    let whole = refit(scene, rig, &model, ranges)?;
+    let whole = refit(scene, rig, &model)?;
     let apart = apart(&search, &model)?;
     Ok(Some(Found { model, whole, apart, standings, tried, missed, band: None }))
 }
@@ -124,12 +124,8 @@ fn stands_elsewhere(search: &Search, model: Model) -> Result<Model, Error> {
 }
 
 /// The rig file gets the parameters of a fit to everything, started from the honest one.
-pub(crate) fn refit(
-    scene: &Scene,
-    rig: &Rig,
-    model: &Model,
-    ranges: &Ranges,
-) -> Result<Model, Error> {
+pub(crate) fn refit(scene: &Scene, rig: &Rig, model: &Model) -> Result<Model, Error> {
+    let ranges = &model.ranges;
     let all = |_: &Channel| true;
     let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(model).into_iter().unzip();
     let knobs = knobs_of(&terms, ranges);
@@ -184,6 +180,7 @@ fn by_axis(
         if !closed(&own.fit.rig)?[axis].is_some_and(accept::names) {
             continue;
         }
+        search.ranges.any_loop |= own.ranges.any_loop;
         for (term, values) in start_terms(&own) {
             match terms.iter_mut().find(|(known, _)| known.name() == term.name()) {
                 Some((known, all)) => {

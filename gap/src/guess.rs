@@ -4,7 +4,7 @@
 //! current that the drive asks for, a hum at the lines of the residual's spectrum. Everything else starts from the catalogue's
 //! typical size; effects that are linear in their size need no more than that.
 
-use host_sim::effects::Role;
+use host_sim::effects::{Parameter, Role};
 use host_sim::rig::Rig;
 
 use crate::Error;
@@ -40,6 +40,8 @@ pub struct Ranges {
     pub longest_s: f64,
     /// From the start of the first recording to the end of the last, s.
     pub session_s: f64,
+    /// Whether loops of any kind may be fitted, or plain ones only.
+    pub any_loop: bool,
 }
 
 impl Ranges {
@@ -112,6 +114,7 @@ pub fn ranges(scene: &Scene, rig: &Rig, raw: &Stack) -> Result<Ranges, Error> {
         rate_hz,
         longest_s: longest,
         session_s: clock.1 - clock.0,
+        any_loop: false,
     })
 }
 
@@ -273,7 +276,8 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             }
         }
         _ => {
-            for p in parameters.iter().filter(|p| p.role == Role::Size) {
+            let rests = |p: &&Parameter| !ranges.any_loop && crate::loops::rests(info.name, p.name);
+            for p in parameters.iter().filter(|p| p.role == Role::Size && !rests(p)) {
                 wanted.push(with(&[(p.name, p.typical)]));
             }
         }

@@ -216,6 +216,9 @@ pub fn knobs_at(effect: EffectRef, place: Place, ranges: &Ranges) -> Vec<Knob> {
                     (knob.min, knob.max) = (p.zero, p.zero);
                 }
             }
+            if !ranges.any_loop && crate::loops::rests(info.name, p.name) {
+                (knob.min, knob.max) = (p.zero, p.zero);
+            }
             if let Some(step) = fine_step(info.name, p.name, ranges) {
                 knob.origin = 0.0;
                 knob.scale = step;

@@ -23,6 +23,7 @@ pub mod identify;
 pub mod intake;
 pub mod knobs;
 pub mod locate;
+mod loops;
 mod memory;
 pub mod model;
 mod motions;

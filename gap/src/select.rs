@@ -129,6 +129,12 @@ impl<'a> Search<'a> {
             let model = self.fit_terms((&[], &self.base), effect, &gains)?;
             self.remember(model);
         }
+        let plain = self.select()?;
+        self.with_any_loop(plain)
+    }
+
+    /// The best model of those that were fitted and of what can be added to them.
+    pub(crate) fn select(&mut self) -> Result<Option<Model>, Error> {
         let mut best: Option<Model> = None;
         for size in 1..=MOST_EFFECTS {
             let Some(candidate) = self.best_of(size) else { break };
@@ -289,9 +295,10 @@ impl<'a> Search<'a> {
         let left = (best.fit.cost - self.noise).max(0.0);
         let most = best.fit.cost + crate::ambiguity::NOISE_MARGIN + AS_LITTLE * left;
         let is_rival = |m: &&Model| m.terms.len() == best.terms.len() && m.fit.cost < most;
-        let plainest = self.tried.iter().filter(is_rival).min_by_key(|m| m.fit.values.len());
+        let numbers = |m: &Model| m.fit.knobs.iter().filter(|knob| !knob.is_frozen()).count();
+        let plainest = self.tried.iter().filter(is_rival).min_by_key(|m| numbers(m));
         match plainest {
-            Some(plain) if plain.fit.values.len() < best.fit.values.len() => plain.clone(),
+            Some(plain) if numbers(plain) < numbers(&best) => plain.clone(),
             _ => best,
         }
     }

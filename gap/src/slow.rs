@@ -54,7 +54,7 @@ pub(crate) fn cross_axis(
             continue;
         }
         let standings = ambiguity::standings(&search, &model);
-        let whole = refit(&slow, rig, &model, ranges)?;
+        let whole = refit(&slow, rig, &model)?;
         let apart = apart(&search, &model)?;
         return Ok(Some(Found {
             model,

@@ -11,7 +11,6 @@ use host_sim::rig::Rig;
 
 use crate::Error;
 use crate::found::{Found, keep};
-use crate::guess::Ranges;
 use crate::knobs::EffectRef;
 use crate::model::{Model, Term, start_terms};
 use crate::scene::{Channel, Scene, Wanted};
@@ -36,14 +35,13 @@ pub(crate) struct Masked {
 pub(crate) fn unmask(
     scene: &Scene,
     rig: &Rig,
-    ranges: &Ranges,
     exclude: &[String],
     found: &mut Found,
 ) -> Result<Option<Masked>, Error> {
     let wanted = strangers().iter().filter(|s| exclude.iter().all(|name| name != s.info().name));
     let mut best: Option<(Model, Vec<&str>)> = None;
     for &stranger in wanted {
-        let Some(model) = instead(scene, rig, ranges, stranger, &found.model)? else { continue };
+        let Some(model) = instead(scene, rig, stranger, &found.model)? else { continue };
         if best.as_ref().is_none_or(|(known, _)| model.fit.cost < known.fit.cost) {
             let stays = model.key();
             let gone = found.model.key().into_iter().filter(|name| !stays.contains(name)).collect();
@@ -64,7 +62,6 @@ pub(crate) fn unmask(
 fn instead(
     scene: &Scene,
     rig: &Rig,
-    ranges: &Ranges,
     stranger: EffectRef,
     model: &Model,
 ) -> Result<Option<Model>, Error> {
@@ -78,7 +75,7 @@ fn instead(
     if left < WORTH_ABSOLUTE {
         return Ok(None);
     }
-    let search = Search::new(scene, rig, &[stranger], ranges, &fitted, &tick)?;
+    let search = Search::new(scene, rig, &[stranger], &model.ranges, &fitted, &tick)?;
     if left < OPEN * search.gap {
         return Ok(None);
     }

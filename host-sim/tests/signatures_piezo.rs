@@ -25,10 +25,12 @@ fn loops_have_the_area_of_their_elements_and_a_skewed_one_is_lopsided() {
         })
     };
     let tilt = |d: f64| (d / 100e-6 - 0.5).exp();
+    let bend = |d: f64| (2.0 * ((d / 100e-6 - 0.5).powi(2) - 1.0 / 12.0)).exp();
     for (name, value, weight, slip) in [
         ("strength", 1.0, &(|_| 1.0) as &dyn Fn(f64) -> f64, 1.0),
         ("strength", 1.2, &|_| 1.2, 1.0),
         ("tilt", 1.0, &tilt, 1.0),
+        ("bend", 2.0, &bend, 1.0),
         ("slip", 1.5, &|_| 1.0, 1.5),
     ] {
         let [small, large] = check(name, value, weight, slip);
@@ -49,6 +51,70 @@ fn loops_have_the_area_of_their_elements_and_a_skewed_one_is_lopsided() {
     let skewed = single("hysteresis-shape", &[("skew", 0.3)]);
     let (skewed, plain) = (lopsided(&skewed), lopsided(&one_axis()));
     assert!(skewed > 5.0 * plain && skewed > 2.0e-8, "{:.1} {:.1} nm", skewed * 1e9, plain * 1e9);
+}
+
+#[test]
+fn elements_that_yield_close_dahls_loop_and_forget_over_small_cycles() {
+    let c_per_m = 7.10 + 1.063e-6 * STAGE_N_PER_M / 7.10;
+    let share = 0.7;
+    let rig = single("hysteresis-shape", &[("yield", share)]);
+    for (peak, cycles) in [(20.0, 40), (90.0, 4)] {
+        let output = run(&rig, 1e4, f64::from(cycles), triangle(peak, 1.0));
+        // The virgin curve is forgotten over many cycles if they are small.
+        let last = 10_000 * (cycles as usize - 1);
+        let x = &output.position_m[0][last..];
+        let area = loop_area(&output.monitor_v[0][last..], x);
+        let half = 0.5 * c_per_m * (x[5_000] - x[0]);
+        // Element i on its way up from -z0, with a = D / share: z = a - (a + z0) e^(-d/a), at most D. The way down is the same turned
+        // over, so the loop is twice the integral of the way up.
+        let expected: f64 = (1..=8)
+            .map(|i| 12.5e-6 * f64::from(i))
+            .map(|slip: f64| {
+                let a = slip / share;
+                let z0 = (a * (half / a).tanh()).min(slip);
+                let steps = 20_000;
+                let way = 2.0 * half / f64::from(steps);
+                let z = |step: i32| a - (a + z0) * (-(f64::from(step) + 0.5) * way / a).exp();
+                let integral: f64 = (0..steps).map(|step| z(step).min(slip) * way).sum();
+                2.0 * integral / 33.6e-6 / c_per_m
+            })
+            .sum();
+        assert!((area / expected - 1.0).abs() < 0.03, "{peak} V: {area:e} {expected:e}");
+    }
+    // Up to 90 V, back to 45 V, then cycles of 10 V about it: where slip elements stay put, these come back towards the middle.
+    let drive = |t: f64| match t {
+        t if t < 1.0 => 90.0 * t,
+        t if t < 1.5 => 90.0 - 90.0 * (t - 1.0),
+        t => 45.0 + 10.0 * (std::f64::consts::TAU * 10.0 * t).sin(),
+    };
+    let wandered = |rig: &Rig| {
+        let x = run(rig, 1e4, 4.0, drive).position_m.remove(0);
+        let mean = |from: usize| x[from..from + 1000].iter().sum::<f64>() / 1000.0;
+        (mean(38_000) - mean(17_000)) * 1e9
+    };
+    let (yielding, holding) = (wandered(&rig), wandered(&one_axis()));
+    assert!(holding.abs() < 1.0 && yielding < -20.0, "{holding:.1} {yielding:.1} nm");
+}
+
+#[test]
+fn loops_lie_about_their_imprint_and_a_spread_one_opens_where_it_is_small() {
+    // A bias moves all of the motion as the same voltage at the input would, and no loop.
+    let drive = triangle(60.0, 1.0);
+    let biased = run(&single("hysteresis-shape", &[("imprint_v", 2.0)]), 1e4, 2.0, drive);
+    let pushed = run(&one_axis(), 1e4, 2.0, |t| triangle(60.0, 1.0)(t) - 2.0);
+    for i in (12_000..20_000).step_by(500) {
+        let (a, b) = (biased.position_m[0][i], pushed.position_m[0][i]);
+        assert!((a - b).abs() < 1.0e-9, "{i}: {a:e} {b:e}");
+    }
+    // At 10 V no element of the nominal stack slips on the way back; a continuum has some that do.
+    let loop_of = |rig: &Rig, peak: f64| {
+        let output = run(rig, 1e4, 4.0, triangle(peak, 1.0));
+        loop_area(&output.monitor_v[0][30_000..], &output.position_m[0][30_000..])
+    };
+    let (plain, spread) = (one_axis(), single("hysteresis-shape", &[("spread", 1.0)]));
+    // The amplifier's lag alone makes the nominal one's.
+    let [small, large] = [10.0, 90.0].map(|peak| loop_of(&spread, peak) / loop_of(&plain, peak));
+    assert!(small > 1.5 && (large - 1.0).abs() < 0.05, "{small:.2} {large:.3}");
 }
 
 #[test]

@@ -1,21 +1,29 @@
-//! The two quick forms of the Maxwell slip elements against a slow one that looks at every element and halves its way to
+//! The quick forms of the slip elements against a slow one that looks at every element and halves its way to
 //! the charge: any stack, any path, any memory.
 
 use host_sim::stages::hysteresis::{Branch, Elements, SlipElements};
 use proptest::prelude::*;
 
-/// Every element looked at, and the charge found by halving: slow, and like neither of the two.
+/// Every element looked at, and the charge found by halving: slow, and like none of them.
 struct Plain {
     slopes: Vec<f64>,
     limits: Vec<f64>,
     volts: Vec<f64>,
+    share: f64,
     charge_c: f64,
 }
 
 impl Plain {
     fn after(&self, drawn: f64, scale: f64) -> Vec<f64> {
-        let free = self.volts.iter().zip(&self.slopes).map(|(v, k)| v + k * drawn);
-        free.zip(&self.limits).map(|(v, top)| v.clamp(-top * scale, top * scale)).collect()
+        let elements = self.volts.iter().zip(&self.slopes).zip(&self.limits);
+        elements
+            .map(|((v, k), top)| {
+                // Of dv = k dq (1 - share sgn(dq) v / top), with the mean of v before and after on the right.
+                let lost = 0.5 * self.share * k * drawn.abs() / (top * scale);
+                let free = (v + k * drawn - lost * v) / (1.0 + lost);
+                free.clamp(-top * scale, top * scale)
+            })
+            .collect()
     }
 
     fn tick(&mut self, branch: &Branch) -> f64 {
@@ -62,16 +70,17 @@ fn branch(input_v: f64) -> Branch {
 fn compare(
     (parameters, path): (Vec<(f64, f64)>, Vec<f64>),
     scaled: bool,
+    share: f64,
     start: impl Fn(f64, f64, usize) -> f64,
     each: impl Fn(usize, &mut Branch),
 ) -> Result<(), TestCaseError> {
     let (slopes, limits): (Vec<f64>, Vec<f64>) =
         parameters.iter().map(|(slope, slip)| (*slope, slope * slip)).unzip();
-    let mut fast = Elements::new(&slopes, &limits, scaled);
+    let mut fast = Elements::new(&slopes, &limits, scaled, share);
     let volts: Vec<f64> = (0..slopes.len())
         .map(|i| start(slopes[i], limits[i], i).clamp(-limits[i], limits[i]))
         .collect();
-    let mut slow = Plain { slopes, limits, volts, charge_c: 2.0e-6 };
+    let mut slow = Plain { slopes, limits, volts, share, charge_c: 2.0e-6 };
     fast.set_voltages(start);
     fast.set_charge(slow.charge_c);
     let mut now = 0.0;
@@ -100,9 +109,9 @@ fn compare(
 proptest! {
     #[test]
     fn the_ladder_finds_what_all_elements_give(stack in stacks(), swept in -3.0e-4..3.0e-4_f64, skew in -300.0..300.0_f64) {
-        compare(stack.clone(), false, |_, _, _| 0.0, |_, _| {})?;
-        compare(stack.clone(), false, |slope, _, _| slope * swept, |_, branch| branch.drag_v_per_c = 2.0e5)?;
-        compare(stack, false, |slope, _, _| slope * swept, |_, branch| branch.skew_per_c = skew)?;
+        compare(stack.clone(), false, 0.0, |_, _, _| 0.0, |_, _| {})?;
+        compare(stack.clone(), false, 0.0, |slope, _, _| slope * swept, |_, branch| branch.drag_v_per_c = 2.0e5)?;
+        compare(stack, false, 0.0, |slope, _, _| slope * swept, |_, branch| branch.skew_per_c = skew)?;
     }
 
     #[test]
@@ -111,10 +120,25 @@ proptest! {
         shares in proptest::collection::vec(-1.0..1.0_f64, 20),
         scales in proptest::collection::vec(prop_oneof![Just(1.0), 0.9..1.1_f64, 0.2..2.0_f64], 300),
     ) {
-        compare(stack.clone(), true, |_, limit, i| limit * shares[i], |_, _| {})?;
-        compare(stack.clone(), true, |_, _, _| 0.0, |tick, branch| branch.limit_scale = 1.0 + 0.1 * (tick as f64 * 0.1).sin())?;
-        compare(stack.clone(), true, |_, limit, i| limit * shares[i], |tick, branch| branch.limit_scale = scales[tick])?;
+        compare(stack.clone(), true, 0.0, |_, limit, i| limit * shares[i], |_, _| {})?;
+        compare(stack.clone(), true, 0.0, |_, _, _| 0.0, |tick, branch| branch.limit_scale = 1.0 + 0.1 * (tick as f64 * 0.1).sin())?;
+        compare(stack.clone(), true, 0.0, |_, limit, i| limit * shares[i], |tick, branch| branch.limit_scale = scales[tick])?;
         // A memory that no history leaves goes to the zones by itself.
-        compare(stack, false, |_, limit, i| limit * shares[i], |_, _| {})?;
+        compare(stack, false, 0.0, |_, limit, i| limit * shares[i], |_, _| {})?;
+    }
+    #[test]
+    fn yielding_elements_find_what_all_elements_give(
+        stack in stacks(),
+        share in prop_oneof![Just(1.0), 1.0e-6..1.0_f64],
+        shares in proptest::collection::vec(-1.0..1.0_f64, 20),
+        scales in proptest::collection::vec(prop_oneof![Just(1.0), 0.9..1.1_f64, 0.2..2.0_f64], 300),
+        skew in -300.0..300.0_f64,
+    ) {
+        compare(stack.clone(), false, share, |_, _, _| 0.0, |_, _| {})?;
+        compare(stack.clone(), false, share, |_, limit, i| limit * shares[i], |_, branch| {
+            branch.drag_v_per_c = 2.0e5;
+            branch.skew_per_c = skew;
+        })?;
+        compare(stack, true, share, |_, limit, i| limit * shares[i], |tick, branch| branch.limit_scale = scales[tick])?;
     }
 }

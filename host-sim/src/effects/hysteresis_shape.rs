@@ -1,4 +1,4 @@
-//! hysteresis-shape: loops of another height, width, fullness or symmetry.
+//! hysteresis-shape: loops of another height, width, fullness, symmetry or memory.
 
 use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
 use crate::stages::model::{Model, PiezoModel};
@@ -24,18 +24,25 @@ static INFO: Info = Info {
             0.2,
             "shifts strength from elements that slip early to those that slip late: e^(tilt (Delta_i/Delta_max - 1/2))",
         ),
+        Parameter::size("bend", "1", 0.0, (-12.0, 12.0), 1.0, "shifts strength from elements in the middle to those that slip first and last"),
         Parameter::size("skew", "1", 0.0, (-2.0, 2.0), 0.05, "growth of the hysteresis voltage over the full slip charge: a loop that is not symmetric about its centre"),
+        Parameter::size("imprint_v", "V", 0.0, (-30.0, 30.0), 1.0, "voltage about which the loops lie: an internal bias of the ceramic"),
+        Parameter::size("yield", "1", 0.0, (0.0, 1.0), 0.3, "by how much every element gives way before it slips: rounder loops, a memory that small cycles wear off"),
+        Parameter::size("spread", "1", 0.0, (0.0, 1.0), 0.5, "spread of the slip charge within an element, over the least slip charge: a continuum instead of steps"),
     ],
     threshold: false,
-    physics: "Element i: slope k_i' = strength e^(tilt (Delta_i/Delta_max - 1/2)) k_i, slip charge slip Delta_i; the \
-              hysteresis voltage is multiplied by 1 + skew q/Delta_max. Rate-independent, resets at reversals, grows \
+    physics: "Element i: slope k_i' = strength e^(tilt u + bend (u^2 - 1/12)) k_i with u = Delta_i/Delta_max - 1/2, slip charge slip Delta_i; the \
+              hysteresis voltage is multiplied by 1 + skew q/Delta_max and shifted by the imprint. With a yield y an element follows the charge by \
+              dz = dq (1 - y sgn(dq) z/Delta_i) until it slips (Dahl's law). Rate-independent, resets at reversals, grows \
               with amplitude. A stack whose rig has no elements gets ten of equal slope, in proportion to \
               strength - 1, spread over half the charge of its voltage range.",
-    source: "Goldfarb and Celanovic, IEEE CSM 17(3), 1997; loops 10 to 15 % at full stroke, 2 % small (notes/physics.md, 4)",
+    source: "Goldfarb and Celanovic, IEEE CSM 17(3), 1997; P. R. Dahl, Aerospace Corp. TOR-0158(3107-18)-1, 1968; internal bias: Carl and Haerdtl, Ferroelectrics 17, 473, 1978; loops 10 to 15 % at full stroke, 2 % small (notes/physics.md, 4)",
     revealed_by: "slow triangles at several strokes, nested loops; phase towards 0 Hz that grows with level",
     confused_with: &["hysteresis-rate", "friction", "piezo-gain", "creep"],
 };
 
+/// Parts of an element whose slip charge is spread out.
+const GRAINS: usize = 4;
 /// Number of elements given to a stack that has none.
 const ADDED: usize = 10;
 
@@ -50,13 +57,32 @@ impl HysteresisShape {
     }
 }
 
+impl HysteresisShape {
+    /// Slopes and slip charges of elements that slip in equal parts, over `spread` times the least slip charge below and above their own.
+    fn grains(slopes: &[f64], charges: &[f64], spread: f64) -> Vec<(f64, f64)> {
+        let elements = slopes.iter().copied().zip(charges.iter().copied());
+        if spread == 0.0 {
+            return elements.collect();
+        }
+        let width = spread * charges.iter().copied().fold(f64::INFINITY, f64::min);
+        let part = |(slope, charge): (f64, f64), j: usize| {
+            let along = (2 * j + 1) as f64 / GRAINS as f64 - 1.0;
+            (slope / GRAINS as f64, charge + width * along)
+        };
+        elements.flat_map(|element| (0..GRAINS).map(move |j| part(element, j))).collect()
+    }
+}
+
 impl Effect for HysteresisShape {
     fn info(&self) -> &'static Info {
         &INFO
     }
 
     fn apply(&self, values: &[f64], place: Place, model: &mut Model, _step_s: f64) {
-        let [strength, slip, tilt, skew] = values[..4] else { return };
+        let [strength, slip, tilt, bend, skew, imprint_v, element_yield, spread] = values[..8]
+        else {
+            return;
+        };
         let axis = &mut model.axes[place.on()];
         let range_v = axis.amplifier.max_v - axis.amplifier.min_v;
         let piezo = &mut axis.piezo;
@@ -69,15 +95,17 @@ impl Effect for HysteresisShape {
             (slopes, charges, strength)
         };
         let full = charges.iter().copied().fold(0.0, f64::max);
-        let weight = |charge: f64| strength * (tilt * (charge / full - 0.5)).exp();
+        let weight = |charge: f64| {
+            let u = charge / full - 0.5;
+            strength * (tilt * u + bend * (u * u - 1.0 / 12.0)).exp()
+        };
+        let grains = Self::grains(&slopes, &charges, spread);
         piezo.slopes_v_per_c =
-            slopes.iter().zip(&charges).map(|(slope, charge)| slope * weight(*charge)).collect();
-        piezo.limits_v = piezo
-            .slopes_v_per_c
-            .iter()
-            .zip(&charges)
-            .map(|(slope, charge)| slope * charge * slip)
-            .collect();
+            grains.iter().map(|(slope, charge)| slope * weight(*charge)).collect();
+        let strong = grains.iter().zip(&piezo.slopes_v_per_c);
+        piezo.limits_v = strong.map(|((_, charge), slope)| slope * charge * slip).collect();
         piezo.skew_per_c = skew / full;
+        piezo.imprint_v = imprint_v;
+        piezo.element_yield = element_yield;
     }
 }

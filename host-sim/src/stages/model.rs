@@ -85,6 +85,10 @@ pub struct PiezoModel {
     pub slopes_v_per_c: Vec<f64>,
     /// Limits of the Maxwell elements, V.
     pub limits_v: Vec<f64>,
+    /// Voltage about whose value the loops lie: an internal bias of the ceramic, V.
+    pub imprint_v: f64,
+    /// By how much the elements give way before they slip, 0 to 1.
+    pub element_yield: f64,
     /// Growth of the hysteresis voltage with charge, 1/C.
     pub skew_per_c: f64,
     /// Loss in series with the elements, V per A at a current of [`LOSS_AT_A`].
@@ -222,6 +226,8 @@ impl AxisModel {
                 mass_kg: piezo.mass_kg,
                 slopes_v_per_c: piezo.hysteresis.slopes().collect(),
                 limits_v: piezo.hysteresis.limit_v.clone(),
+                imprint_v: 0.0,
+                element_yield: 0.0,
                 skew_per_c: 0.0,
                 resistance_ohm: 0.0,
                 loss_exponent: 1.0,

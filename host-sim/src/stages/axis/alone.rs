@@ -85,6 +85,7 @@ struct Parts<'a> {
     transformer: f64,
     drag: Drag,
     skew_per_c: f64,
+    imprint_v: f64,
     step_s: f64,
     free_elastance: f64,
     output_v: &'a mut f64,
@@ -119,6 +120,7 @@ impl AxisSim {
             transformer: self.transformer,
             drag: self.drag,
             skew_per_c: self.skew_per_c,
+            imprint_v: self.imprint_v,
             step_s: self.step_s,
             free_elastance: self.free_elastance,
             output_v: &mut self.output_v,
@@ -130,6 +132,8 @@ impl AxisSim {
             (Elements::Ladder(e), false) => parts.run::<_, false>(e, ticks, output, reached),
             (Elements::Zones(e), true) => parts.run::<_, true>(e, ticks, output, reached),
             (Elements::Zones(e), false) => parts.run::<_, false>(e, ticks, output, reached),
+            (Elements::Yielding(e), true) => parts.run::<_, true>(e, ticks, output, reached),
+            (Elements::Yielding(e), false) => parts.run::<_, false>(e, ticks, output, reached),
         }
     }
 }
@@ -190,7 +194,7 @@ impl Parts<'_> {
             }
             branch.charge_at_zero_c = self.transformer * free;
             branch.capacitance_f = constants.capacitance_f;
-            branch.input_v = input_v;
+            branch.input_v = input_v - self.imprint_v;
             transducer_v = elements.solve(&branch);
             elements.commit();
             let position = free + constants.per_volt * transducer_v;

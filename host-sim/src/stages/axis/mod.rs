@@ -32,6 +32,7 @@ pub struct AxisSim {
     capacitance: f64,
     drag: Drag,
     skew_per_c: f64,
+    imprint_v: f64,
     step_s: f64,
     levels_per_slope: f64,
     free_elastance: f64,
@@ -126,7 +127,12 @@ impl AxisSim {
             free_elastance: 1.0 / (piezo.capacitance_f + square * mechanism.compliance_m_per_n()),
             level: 0,
             levels_per_slope: if all_slopes > 0.0 { top / all_slopes } else { 0.0 },
-            elements: Elements::new(&piezo.slopes_v_per_c, &piezo.limits_v, piezo.rate.is_some()),
+            elements: Elements::new(
+                &piezo.slopes_v_per_c,
+                &piezo.limits_v,
+                piezo.rate.is_some(),
+                piezo.element_yield,
+            ),
             mechanism,
             forces: model.mechanism.forces,
             creep,
@@ -139,6 +145,7 @@ impl AxisSim {
                 v_per_c: piezo.resistance_ohm / step_s,
             },
             skew_per_c: piezo.skew_per_c,
+            imprint_v: piezo.imprint_v,
             step_s,
             amplifier: AmplifierSim::new(model.drive, model.amplifier, step_s),
             output_v: 0.0,
@@ -184,7 +191,7 @@ impl AxisSim {
         for _ in 0..100 {
             let before = (charge, self.mechanism.position_m());
             let weight = 1.0 + self.skew_per_c * charge;
-            self.transducer_v = self.output_v - self.elements.sum_v() * weight;
+            self.transducer_v = self.output_v - self.imprint_v - self.elements.sum_v() * weight;
             let (pushed, slope) = self.forces_at(before.1);
             let stiffness = 1.0 / self.mechanism.compliance_m_per_n();
             let driven = self.transformer * (self.transducer_v + slow) + outside_n;
@@ -333,7 +340,7 @@ impl AxisSim {
         let branch = Branch {
             charge_at_zero_c: self.transformer * free_m,
             capacitance_f: self.transformer * per_volt + self.capacitance,
-            input_v: self.input_v,
+            input_v: self.input_v - self.imprint_v,
             drag_v_per_c: self.drag.v_per_c,
             skew_per_c: self.skew_per_c,
             limit_scale: self.limit_scale,

@@ -6,12 +6,14 @@
 //!
 //! Two ways to the same numbers: [`Ladder`] looks only at the element that slips next and is what nearly every
 //! simulation runs; [`Zones`] looks at those near their limits and takes what the ladder cannot: limits that change from
-//! tick to tick, and memories that no history of charge leaves behind.
+//! tick to tick, and memories that no history of charge leaves behind. [`Yielding`] elements give way before they slip.
 
 mod ladder;
+mod yielding;
 mod zones;
 
 pub use ladder::Ladder;
+pub use yielding::Yielding;
 pub use zones::Zones;
 
 /// How the charge follows the transducer voltage in this tick, and what the branch adds beside the elements.
@@ -29,11 +31,11 @@ pub struct Branch {
     pub skew_per_c: f64,
     /// Factor on every limit in this tick.
     pub limit_scale: f64,
-    /// Factor on the whole hysteresis voltage in this tick; only [`Zones`] take one.
+    /// Factor on the whole hysteresis voltage in this tick; [`Ladder`]s take none.
     pub sum_scale: f64,
 }
 
-/// What a tick asks of either form.
+/// What a tick asks of any form.
 pub trait SlipElements {
     /// Slope of the hysteresis voltage in the direction last moved, V/C.
     fn tangent_v_per_c(&self) -> f64;
@@ -50,8 +52,10 @@ pub trait SlipElements {
 pub enum Elements {
     /// Fixed limits, a memory left by a history of charge.
     Ladder(Ladder),
-    /// Anything.
+    /// Any limits and memory.
     Zones(Zones),
+    /// The same, and elements that give way before they slip.
+    Yielding(Yielding),
 }
 
 macro_rules! either {
@@ -59,14 +63,18 @@ macro_rules! either {
         match $self {
             Elements::Ladder($elements) => $body,
             Elements::Zones($elements) => $body,
+            Elements::Yielding($elements) => $body,
         }
     };
 }
 
 impl Elements {
-    /// Elements from slopes (V/C) and limits (V), virgin; `scaled`: their limits will change from tick to tick.
-    pub fn new(slopes: &[f64], limits: &[f64], scaled: bool) -> Self {
-        if scaled {
+    /// Elements from slopes (V/C) and limits (V), virgin; `scaled`: their limits will change from tick to tick; `share`: by how much
+    /// they give way before they slip, 0 to 1.
+    pub fn new(slopes: &[f64], limits: &[f64], scaled: bool, share: f64) -> Self {
+        if share > 0.0 {
+            Self::Yielding(Yielding::new(slopes, limits, share))
+        } else if scaled {
             Self::Zones(Zones::new(slopes, limits))
         } else {
             Self::Ladder(Ladder::new(slopes, limits))
@@ -91,8 +99,10 @@ impl Elements {
             let (slopes, limits) = ladder.parameters();
             *self = Self::Zones(Zones::new(&slopes, &limits));
         }
-        if let Self::Zones(elements) = self {
-            elements.set_voltages(voltage_of);
+        match self {
+            Self::Ladder(_) => {}
+            Self::Zones(elements) => elements.set_voltages(voltage_of),
+            Self::Yielding(elements) => elements.set_voltages(voltage_of),
         }
     }
 

@@ -1,0 +1,73 @@
+//! Loops of any kind, where plain ones do not suffice.
+//!
+//! A loop of another height, width, fullness or symmetry about its centre takes four numbers. Loops of other laws (of Bouc and Wen's or Dahl's
+//! kind, of Preisach's, of a continuum of plays, about another voltage) take four more, and with eight numbers an axis a loop bends to
+//! much that is none: the half per cent of a gain, a drift. So a search is made with the plain loop first. Only where that loop is a good
+//! part of the answer, and the best model still leaves something, is it let go; and what it then explains counts if it is much more, or as much with
+//! fewer effects.
+
+use crate::Error;
+use crate::accept;
+use crate::fit::Effort;
+use crate::model::{Model, Term, start_terms};
+use crate::select::{MOST_EFFECTS, Search};
+
+/// The effect that this is about.
+const LOOP: &str = "hysteresis-shape";
+/// Its parameters beyond the plain ones.
+const FURTHER: [&str; 4] = ["bend", "imprint_v", "yield", "spread"];
+
+/// Share of the gap that the plain loop alone must account for.
+const PLAIN_LOOP: f64 = 0.3;
+/// Share of what the model with a plain loop leaves that one with any loop may leave at most.
+const MUCH_LESS: f64 = 0.65;
+/// ... or this share with fewer effects.
+const AS_LITTLE: f64 = 1.1;
+/// Iterations of its fit.
+const ITERATIONS: usize = 12;
+
+/// Whether this parameter of an effect rests unless any kind of loop is allowed.
+pub(crate) fn rests(effect: &str, parameter: &str) -> bool {
+    effect == LOOP && FURTHER.contains(&parameter)
+}
+
+impl Search<'_> {
+    /// The model of a search with a loop of any kind, if that is better than `plain`, the one with plain loops.
+    pub(crate) fn with_any_loop(&mut self, plain: Option<Model>) -> Result<Option<Model>, Error> {
+        let is_loop = |model: &&Model| model.key() == [LOOP];
+        let Some(alone) = self.tried.iter().find(is_loop).cloned() else { return Ok(plain) };
+        let saved = self.gap - (alone.fit.cost - self.noise);
+        let is_closed = |m: &Model| {
+            m.terms.len() < MOST_EFFECTS
+                && accept::gaps(self.scene, &m.fit.stack).iter().all(|g| !g.counts)
+        };
+        if saved < PLAIN_LOOP * self.gap || plain.as_ref().is_some_and(is_closed) {
+            return Ok(plain);
+        }
+        let known = self.tried.clone();
+        self.tried.retain(|model| !model.key().contains(&LOOP));
+        self.ranges.any_loop = true;
+        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(&alone).into_iter().unzip();
+        let effort = Effort { iterations: ITERATIONS, ..self.effort() };
+        let freed = self.fit_model(terms, start.concat(), effort)?;
+        self.remember(freed);
+        let any = self.select()?;
+        let left = |m: &Model| (m.fit.cost - self.noise).max(0.0);
+        let is_better = match (&any, &plain) {
+            (Some(any), None) => any.key().contains(&LOOP),
+            (Some(any), Some(plain)) => {
+                let (few, many) = (any.terms.len(), plain.terms.len());
+                let share = if few < many { AS_LITTLE } else { MUCH_LESS };
+                let suffices = left(any) < share * left(plain);
+                any.key().contains(&LOOP) && suffices
+            }
+            (None, _) => false,
+        };
+        if is_better {
+            return Ok(any);
+        }
+        self.tried = known;
+        self.ranges.any_loop = false;
+        Ok(plain)
+    }
+}
