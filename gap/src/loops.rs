@@ -19,6 +19,8 @@ const FURTHER: [&str; 4] = ["bend", "imprint_v", "yield", "spread"];
 
 /// Share of the gap that the plain loop alone must account for.
 const PLAIN_LOOP: f64 = 0.3;
+/// Share of what the plain loop alone leaves that any loop alone may leave at most: else its law was not what was missing.
+const ANOTHER_LAW: f64 = 0.8;
 /// Share of what the model with a plain loop leaves that one with any loop may leave at most.
 const MUCH_LESS: f64 = 0.65;
 /// ... or this share with fewer effects.
@@ -50,9 +52,14 @@ impl Search<'_> {
         let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(&alone).into_iter().unzip();
         let effort = Effort { iterations: ITERATIONS, ..self.effort() };
         let freed = self.fit_model(terms, start.concat(), effort)?;
-        self.remember(freed);
-        let any = self.select()?;
-        let left = |m: &Model| (m.fit.cost - self.noise).max(0.0);
+        let noise = self.noise;
+        let left = |m: &Model| (m.fit.cost - noise).max(0.0);
+        let any = if left(&freed) < ANOTHER_LAW * left(&alone) {
+            self.remember(freed);
+            self.select()?
+        } else {
+            None
+        };
         let is_better = match (&any, &plain) {
             (Some(any), None) => any.key().contains(&LOOP),
             (Some(any), Some(plain)) => {
