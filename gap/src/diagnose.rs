@@ -16,7 +16,7 @@ use crate::picture;
 use crate::scene::{Channel, Scene, Stack, TOLERANCE, Wanted};
 use crate::split::{hold_out_last_third, split};
 use crate::strangers::Masked;
-use crate::{Error, Options, intake, past, slow, strangers};
+use crate::{Error, Options, intake, past, slow, steady, strangers};
 
 /// What `flexstage diagnose` writes.
 pub struct Outcome {
@@ -162,7 +162,10 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
     let was_found = found.is_some();
     let mut masked = None;
     if let Some(mut known) = found.take() {
-        masked = strangers::unmask(&scene, rig, &options.exclude, &mut known)?;
+        masked = match strangers::unmask(&scene, rig, &options.exclude, &mut known)? {
+            None => steady::unmask(&scene, rig, &nominal.raw, &mut known)?,
+            masked => masked,
+        };
         found = match (&masked, known.model.terms.is_empty()) {
             (None, _) => Some(known),
             (Some(_), true) => None,

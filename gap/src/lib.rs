@@ -3,7 +3,7 @@
 //! Recordings of a rig go in, a [`Diagnosis`] and the corrected rig come out. The steps are files: [`intake`] lays recordings on
 //! their clocks, [`floor`] measures the noise, [`scene`] whitens residuals, [`locate`] says where the gap lies, [`split`] holds
 //! recordings out, [`screen`] tests the catalogue, [`fit`] turns parameters, [`select`] chooses effects, [`accept`] decides what may
-//! be said, [`ambiguity`] what else it could be, [`picture`] draws it. Method and sources: the field's practice of output-error
+//! be said, `strangers` and `steady` take back what only passes for a cause, [`ambiguity`] says what else it could be, [`picture`] draws it. Method and sources: the field's practice of output-error
 //! identification (Ljung, System Identification, chapter 7) with a model-form tolerance after Kennedy and O'Hagan.
 
 pub mod accept;
@@ -39,6 +39,7 @@ pub mod select;
 mod slow;
 mod spectra;
 pub mod split;
+mod steady;
 mod strangers;
 mod threshold;
 mod trade;

@@ -1,24 +1,11 @@
 //! Loops of other laws than the fit's: Bouc and Wen's, and one of many one-sided plays, from the truth generator, which shares no code with
 //! the catalogue. And what a loop of eight numbers could pass for.
 
-use gap::{Options, diagnose};
-use host_sim::rig::Rig;
-use recording::Session;
-use truth::case::{Case, Draw};
+mod common;
 
 /// Causes that are found in a case of the truth generator, and the share of the gap that they close.
 fn found(seed: u64, index: u64, of: &str) -> (Vec<(String, Vec<usize>)>, f64) {
-    let mut case = Case::draw(seed, index, &Draw { other_rigs: true, ..Draw::default() });
-    // The generator is free to change: these seeds were chosen for what they draw today.
-    let truth: Vec<&str> = case.label.truth.iter().map(|t| t.effect.as_str()).collect();
-    assert_eq!(truth, [of], "seed {seed}, case {index} is another one now: choose a new one");
-    case.label.id = "case".into();
-    let folder = tempfile::tempdir().expect("folder");
-    case.write(folder.path()).expect("written");
-    let case = folder.path().join("case");
-    let rig = Rig::load(&case.join("rig.toml")).expect("rig");
-    let session = Session::read(case.join("session"), None).expect("session");
-    let diagnosis = diagnose(&rig, &session, &Options::default()).expect("a diagnosis").diagnosis;
+    let diagnosis = common::drawn(seed, index, of);
     let causes = diagnosis.causes.iter().map(|c| (c.effect.clone(), c.axes.clone()));
     (causes.collect(), diagnosis.gap.closed)
 }

@@ -1,11 +1,13 @@
-//! Sessions that need no file.
+//! Sessions that need no file, and cases of the truth generator.
 #![allow(dead_code, reason = "every test takes what it needs of this module")]
 
+use gap::{Diagnosis, Options, diagnose};
 use host_sim::rig::Rig;
 use host_sim::{Axes, Input, simulate};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use recording::{Entry, Meta, Recording, Session};
+use truth::case::{Case, Draw};
 
 const RATE_HZ: f64 = 10_000.0;
 const ROWS: usize = 12_000;
@@ -80,4 +82,19 @@ pub fn session_of(
         })
         .collect();
     Session { recordings }
+}
+
+/// What is said of a case of the truth generator, which shares no code with the catalogue. `of`: what it was drawn for; the generator is
+/// free to change, and then another case has to be chosen.
+pub fn drawn(seed: u64, index: u64, of: &str) -> Diagnosis {
+    let mut case = Case::draw(seed, index, &Draw { other_rigs: true, ..Draw::default() });
+    let truth: Vec<&str> = case.label.truth.iter().map(|t| t.effect.as_str()).collect();
+    assert_eq!(truth, [of], "seed {seed}, case {index} is another one now: choose a new one");
+    case.label.id = "case".into();
+    let folder = tempfile::tempdir().expect("folder");
+    case.write(folder.path()).expect("written");
+    let case = folder.path().join("case");
+    let rig = Rig::load(&case.join("rig.toml")).expect("rig");
+    let session = Session::read(case.join("session"), None).expect("session");
+    diagnose(&rig, &session, &Options::default()).expect("a diagnosis").diagnosis
 }
