@@ -9,6 +9,7 @@ use crate::accept::{self, AxisGapSize};
 use crate::causes::causes_of;
 use crate::diagnosis::{Diagnosis, RecordingGap, Role, Verdict};
 use crate::energy::Energies;
+use crate::floor::Kind;
 use crate::found::{self, Found};
 use crate::knobs::EffectRef;
 use crate::locate;
@@ -80,8 +81,9 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
     // Weights of noise alone first: they tell how large the gap is in each band.
     let mut white = scene.residuals_at(rig, Wanted::ALL, everything)?;
     let mut by_blocks = false;
-    let gapped = found::with_gap(&scene, &white, |_| true);
-    if !gapped.is_empty() && found::with_gap(&scene, &white, |c| c.held_out).is_empty() {
+    let mut excess = found::excess(&scene, &white);
+    let gapped = found::with_gap(&scene, &excess, |_| true);
+    if !gapped.is_empty() && !can_contradict(&scene, &excess) {
         // What is held out must be able to contradict.
         if let [_, _, ..] = gapped[..] {
             let of_quietest = |c: &&mut Channel| c.track == gapped[0];
@@ -91,23 +93,14 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
             hold_out_last_third(&mut scene);
             scene.set_aside_memory(rig)?;
             white = scene.residuals_at(rig, Wanted::ALL, everything)?;
+            excess = found::excess(&scene, &white);
             notes.push(format!(
                 "The gap shows in {} alone: the last third of every recording was held out instead of whole recordings.",
                 scene.tracks[gapped[0]].file
             ));
         }
     }
-    let raw = scene.raw(rig, everything)?;
-    let cuts = locate::cuts(&scene, &raw, &white);
-    let electrical = locate::electrical(&scene, &white);
-    let nominal = Nominal { gaps: accept::gaps(&scene, &white), raw, cuts, electrical };
-    let gaps = &nominal.gaps;
-    for (c, channel) in scene.channels.iter_mut().enumerate() {
-        if let Some(row) = &white[c] {
-            let power = channel.band_power(row);
-            channel.weigh(&power, TOLERANCE);
-        }
-    }
+    let mut nominal = Nominal::new(&mut scene, rig, &white)?;
     let effects: Vec<EffectRef> = catalogue()
         .iter()
         .copied()
@@ -116,14 +109,14 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
 
     let ranges = crate::guess::ranges(&scene, rig, &nominal.raw)?;
     let mut found: Option<Found> = None;
-    if gaps.iter().any(|g| g.counts) {
+    if nominal.any_gap() {
         past::tell(&mut scene, rig, &effects, &ranges)?;
         bar.set_message("screening the catalogue");
-        found = found::search(&scene, rig, &effects, &ranges, &bar, gaps)?;
+        found = found::search(&scene, rig, &effects, &ranges, &bar, &nominal.gaps)?;
         let missed = match &found {
             Some(f) => f.missed.clone(),
             // Nothing found in the fitted ones: the gap may be in the others alone.
-            None => found::with_gap(&scene, &white, |c| c.held_out),
+            None => found::with_gap(&scene, &excess, |c| c.held_out),
         };
         // What does not even account for the recordings that it was fitted to will not do better with others.
         let fits = match &found {
@@ -134,29 +127,37 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
                     Energies::new(&scene, &nominal.raw, &after, &fitted).gap(rig.axes.len());
                 accept::names(shrink.closed)
             }
-            None => found::with_gap(&scene, &white, |c| !c.held_out).is_empty(),
+            None => found::with_gap(&scene, &excess, |c| !c.held_out).is_empty(),
         };
         if fits && !missed.is_empty() && scene.tracks.len() >= 3 && !by_blocks {
             bar.set_message("looking again with other recordings");
-            let first = scene.clone();
-            split(&mut scene, &missed);
-            let second = found::search(&scene, rig, &effects, &ranges, &bar, gaps)?;
+            let mut other = scene.clone();
+            split(&mut other, &missed);
+            let mut of_other = nominal.clone();
+            if !can_contradict(&other, &excess) {
+                hold_out_last_third(&mut other);
+                other.set_aside_memory(rig)?;
+                let white = other.residuals_at(rig, Wanted::ALL, everything)?;
+                of_other = Nominal::new(&mut other, rig, &white)?;
+            }
+            let second = found::search(&other, rig, &effects, &ranges, &bar, &of_other.gaps)?;
             // The look that closes more of the whole session stands.
-            let open = |scene: &Scene, found: &Option<Found>| -> Result<f64, Error> {
+            let open = |scene: &Scene, raw: &Stack, found: &Option<Found>| -> Result<f64, Error> {
                 let Some(f) = found else { return Ok(f64::INFINITY) };
                 let after = scene.raw(&f.model.fit.rig, everything)?;
-                Ok(Energies::new(scene, &nominal.raw, &after, &everything).excess().1)
+                Ok(Energies::new(scene, raw, &after, &everything).excess().1)
             };
-            if open(&scene, &second)? < open(&first, &found)? {
-                found = second;
-            } else {
-                scene = first;
+            if open(&other, &of_other.raw, &second)? < open(&scene, &nominal.raw, &found)? {
+                if other.channels.len() > scene.channels.len() {
+                    notes.push("The gap shows in few recordings, each of them unlike the others: the last third of every recording was held out instead of whole recordings.".into());
+                }
+                (found, scene, nominal) = (second, other, of_other);
             }
         }
     }
 
     found = match found {
-        Some(found) => found::abstain(rig, &scene, found, &nominal.raw, gaps, &mut notes)?,
+        Some(found) => found::abstain(rig, &scene, found, &nominal.raw, &nominal.gaps, &mut notes)?,
         None => None,
     };
     let was_found = found.is_some();
@@ -170,10 +171,12 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
             (None, _) => Some(known),
             (Some(_), true) => None,
             // What stays has to stand by itself.
-            (Some(_), false) => found::abstain(rig, &scene, known, &nominal.raw, gaps, &mut notes)?,
+            (Some(_), false) => {
+                found::abstain(rig, &scene, known, &nominal.raw, &nominal.gaps, &mut notes)?
+            }
         };
     }
-    if !was_found && rig.axes.len() > 1 && gaps.iter().any(|g| g.counts) {
+    if !was_found && rig.axes.len() > 1 && nominal.any_gap() {
         bar.set_message("looking at slow motion alone");
         found = slow::cross_axis(&scene, rig, &effects, &ranges, &bar)?;
     }
@@ -184,12 +187,46 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
     Ok(outcome)
 }
 
+/// Share of the session's gap that the recordings held out must have to contradict a model.
+const TO_CONTRADICT: f64 = 0.002;
+
+/// Whether what is held out shows enough of the gap: what closes nothing there because there is nothing has not been checked.
+fn can_contradict(scene: &Scene, excess: &[f64]) -> bool {
+    let positions = || scene.channels.iter().zip(excess).filter(|(c, _)| c.kind == Kind::Position);
+    let held: f64 = positions().filter(|(c, _)| c.held_out).map(|(_, excess)| excess).sum();
+    let all: f64 = positions().map(|(_, excess)| excess).sum();
+    let any = !found::with_gap(scene, excess, |c| c.held_out).is_empty();
+    any && held > TO_CONTRADICT * all
+}
+
 /// What the rig as given leaves of the session.
+#[derive(Clone)]
 struct Nominal {
     raw: Stack,
     cuts: locate::Cuts,
     electrical: Vec<Option<bool>>,
     gaps: Vec<AxisGapSize>,
+}
+
+impl Nominal {
+    /// From residuals weighed by the noise alone; the channels are weighed for a search after that.
+    fn new(scene: &mut Scene, rig: &Rig, white: &Stack) -> Result<Self, Error> {
+        let raw = scene.raw(rig, |_| true)?;
+        let cuts = locate::cuts(scene, &raw, white);
+        let electrical = locate::electrical(scene, white);
+        let gaps = accept::gaps(scene, white);
+        for (channel, row) in scene.channels.iter_mut().zip(white) {
+            if let Some(row) = row {
+                let power = channel.band_power(row);
+                channel.weigh(&power, TOLERANCE);
+            }
+        }
+        Ok(Self { raw, cuts, electrical, gaps })
+    }
+
+    fn any_gap(&self) -> bool {
+        self.gaps.iter().any(|g| g.counts)
+    }
 }
 
 fn answer(

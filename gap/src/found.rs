@@ -238,18 +238,22 @@ fn missed(scene: &Scene, rig: &Rig, model: &Model) -> Result<Vec<usize>, Error> 
     Ok(missed)
 }
 
+/// Energy beyond noise of every channel, noise variances: of residuals whitened with the weights that the channels have now.
+pub(crate) fn excess(scene: &Scene, white: &Stack) -> Vec<f64> {
+    let rows = scene.channels.iter().zip(white);
+    rows.map(|(channel, row)| row.as_ref().map_or(0.0, |row| channel.excess(row))).collect()
+}
+
 /// Recordings with a gap of their own in the channels asked for, none of them next to nothing beside another, the one with the
 /// smallest gap first.
 pub(crate) fn with_gap(
     scene: &Scene,
-    nominal: &Stack,
+    excess: &[f64],
     include: impl Fn(&Channel) -> bool,
 ) -> Vec<usize> {
     let mut sizes: BTreeMap<usize, f64> = BTreeMap::new();
-    for (channel, row) in scene.channels.iter().zip(nominal) {
-        let Some(row) = row.as_ref().filter(|_| include(channel)) else { continue };
-        let excess = channel.excess(row);
-        if excess > 0.1 * row.len() as f64 {
+    for (channel, &excess) in scene.channels.iter().zip(excess) {
+        if include(channel) && excess > 0.1 * channel.range.len() as f64 {
             *sizes.entry(channel.track).or_default() += excess;
         }
     }

@@ -267,6 +267,12 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
                 wanted.push(with(&[("growth", typical("growth")), time_s]));
             }
         }
+        "drive-delay" => {
+            // Of a delay of many ticks the first tick's derivative says little.
+            for ticks in [1.0, 4.0, 16.0] {
+                wanted.push(with(&[("delay_s", ticks * typical("delay_s"))]));
+            }
+        }
         "friction" => {
             for metres in [0.003, 0.03, 0.2] {
                 wanted.push(with(&[

@@ -17,9 +17,11 @@ const LOOP: &str = "hysteresis-shape";
 /// Its parameters beyond the plain ones.
 const FURTHER: [&str; 4] = ["bend", "imprint_v", "yield", "spread"];
 
-/// Share of the gap that the plain loop alone must account for.
+/// Share of the gap of an axis that the plain loop alone must account for, on an axis that counts.
 const PLAIN_LOOP: f64 = 0.3;
-/// Share of what the plain loop alone leaves that any loop alone may leave at most: else its law was not what was missing.
+/// Share of the whole gap that makes an axis count.
+const COUNTS: f64 = 0.1;
+/// Share of what the plain loop alone leaves on these axes that any loop alone may leave at most: else its law was not what was missing.
 const ANOTHER_LAW: f64 = 0.8;
 /// Share of what the model with a plain loop leaves that one with any loop may leave at most.
 const MUCH_LESS: f64 = 0.65;
@@ -38,12 +40,12 @@ impl Search<'_> {
     pub(crate) fn with_any_loop(&mut self, plain: Option<Model>) -> Result<Option<Model>, Error> {
         let is_loop = |model: &&Model| model.key() == [LOOP];
         let Some(alone) = self.tried.iter().find(is_loop).cloned() else { return Ok(plain) };
-        let saved = self.gap - (alone.fit.cost - self.noise);
+        let axes = self.axes_of_loop(&alone);
         let is_closed = |m: &Model| {
             m.terms.len() < MOST_EFFECTS
                 && accept::gaps(self.scene, &m.fit.stack).iter().all(|g| !g.counts)
         };
-        if saved < PLAIN_LOOP * self.gap || plain.as_ref().is_some_and(is_closed) {
+        if axes == 0 || plain.as_ref().is_some_and(is_closed) {
             return Ok(plain);
         }
         let known = self.tried.clone();
@@ -54,7 +56,9 @@ impl Search<'_> {
         let freed = self.fit_model(terms, start.concat(), effort)?;
         let noise = self.noise;
         let left = |m: &Model| (m.fit.cost - noise).max(0.0);
-        let any = if left(&freed) < ANOTHER_LAW * left(&alone) {
+        let is_another_law =
+            self.left_on(&freed, axes) < ANOTHER_LAW * self.left_on(&alone, axes).max(0.0);
+        let any = if is_another_law {
             self.remember(freed);
             self.select()?
         } else {
@@ -76,5 +80,20 @@ impl Search<'_> {
         self.tried = known;
         self.ranges.any_loop = false;
         Ok(plain)
+    }
+
+    /// Cost beyond noise that a model leaves on the axes in a mask.
+    fn left_on(&self, model: &Model, axes: u32) -> f64 {
+        let stack = &model.fit.stack;
+        self.scene.cost_on(stack, axes) - self.scene.noise_on(stack, axes)
+    }
+
+    /// Axes (a mask) on which a loop alone is a good part of the answer.
+    fn axes_of_loop(&self, alone: &Model) -> u32 {
+        (0..self.nominal.axes.len()).map(|axis| 1 << axis).fold(0, |axes, bit| {
+            let gap = self.scene.cost_on(&self.base, bit) - self.scene.noise_on(&self.base, bit);
+            let saved = gap - self.left_on(alone, bit);
+            if gap > COUNTS * self.gap && saved > PLAIN_LOOP * gap { axes | bit } else { axes }
+        })
     }
 }

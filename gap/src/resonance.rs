@@ -32,18 +32,23 @@ const DAMPED: f64 = 0.02;
 enum Mode {
     /// The mass of the mechanism, beside the nominal one (kg), on the spring that there is (N/m).
     Mass { nominal_kg: f64, stiffness_n_per_m: f64 },
-    /// A spring of its own.
-    Own,
+    /// A spring of its own, on an axis that is held by this stiffness (N/m).
+    Own { stiffness_n_per_m: f64 },
 }
+
+/// Stiffness of a swinging part's spring, beside that of the axis in series with it, that is tried: the more of the axis' motion it takes
+/// with it, the farther the resonance that is seen lies below the frequency with the axis held.
+const SHARES: [f64; 4] = [0.05, 0.2, 0.45, 0.75];
 
 impl Mode {
     fn of(effect: &str, axis: &Axis) -> Option<Self> {
+        let stiffness_n_per_m = axis.piezo.stiffness_n_per_m + axis.mechanism.stiffness_n_per_m;
         match effect {
             "inertia" => Some(Self::Mass {
                 nominal_kg: axis.piezo.mass_kg + axis.mechanism.mass_kg,
-                stiffness_n_per_m: axis.piezo.stiffness_n_per_m + axis.mechanism.stiffness_n_per_m,
+                stiffness_n_per_m,
             }),
-            "second-mass" => Some(Self::Own),
+            "second-mass" => Some(Self::Own { stiffness_n_per_m }),
             _ => None,
         }
     }
@@ -56,7 +61,7 @@ impl Mode {
             Self::Mass { nominal_kg, .. } => {
                 values[0] = (nominal_kg + values[0]) / (ratio * ratio) - nominal_kg;
             }
-            Self::Own => values[1] *= ratio,
+            Self::Own { .. } => values[1] *= ratio,
         }
         values
     }
@@ -74,9 +79,17 @@ impl Mode {
                 let damped = 2.0 * DAMPED * stiffness_n_per_m / omega;
                 vec![vec![added_kg, 0.0], vec![added_kg, damped]]
             }
-            Self::Own => {
+            Self::Own { stiffness_n_per_m } => {
                 let typical = &effect.info().parameters[0].typical;
-                vec![vec![values[0].max(0.1 * typical), hz, values[2].min(0.05)]]
+                let damping = values[2].min(0.05);
+                let omega = std::f64::consts::TAU * hz;
+                // Two springs in series carry the mass at the frequency that is seen: share = k2 / (k + k2).
+                let heavy = SHARES.map(|share| {
+                    let mass_kg = share * stiffness_n_per_m / (omega * omega);
+                    vec![mass_kg, hz / (1.0 - share).sqrt(), damping]
+                });
+                let light = vec![values[0].max(0.1 * typical), hz, damping];
+                std::iter::once(light).chain(heavy).collect()
             }
         }
     }
@@ -85,7 +98,7 @@ impl Mode {
     fn is_sound(self, values: &[f64]) -> bool {
         match self {
             Self::Mass { nominal_kg, .. } => values[0] > -0.5 * nominal_kg,
-            Self::Own => true,
+            Self::Own { .. } => true,
         }
     }
 
@@ -95,10 +108,15 @@ impl Mode {
         let mut values = values.to_vec();
         match self {
             Self::Mass { .. } => values[1] = 0.0,
-            Self::Own => values[2] *= 0.3,
+            Self::Own { .. } => values[2] *= 0.3,
         }
         values
     }
+}
+
+/// Delays about one that a screen found: a fit does not get over the next edge of a square, or half a period of what is fast.
+fn delays(start: &[f64]) -> Vec<Vec<f64>> {
+    [1.0, 0.25, 0.5, 0.7, 1.4, 2.0, 4.0].map(|ratio| vec![ratio * start[0]]).to_vec()
 }
 
 /// Lags about one that a screen found, with one pole and with two: what two take away they give back later, and from one a fit does not
@@ -126,8 +144,13 @@ impl Search<'_> {
             .iter()
             .filter_map(|place| Mode::of(name, &self.nominal.axes[place.on()]))
             .collect();
-        if name == "sensor-bandwidth" {
-            let offers: Vec<Vec<Vec<f64>>> = starts.iter().map(|start| lags(start)).collect();
+        let late: Option<fn(&[f64]) -> Vec<Vec<f64>>> = match name {
+            "sensor-bandwidth" => Some(lags),
+            "drive-delay" => Some(delays),
+            _ => None,
+        };
+        if let Some(around) = late {
+            let offers: Vec<Vec<Vec<f64>>> = starts.iter().map(|start| around(start)).collect();
             return self.best_of_offers(known, (effect, places), &offers, &self.telling(left));
         }
         if modes.is_empty() {

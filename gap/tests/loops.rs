@@ -3,30 +3,33 @@
 
 mod common;
 
-/// Causes that are found in a case of the truth generator, and the share of the gap that they close.
-fn found(seed: u64, index: u64, of: &str) -> (Vec<(String, Vec<usize>)>, f64) {
-    let diagnosis = common::drawn(seed, index, of);
-    let causes = diagnosis.causes.iter().map(|c| (c.effect.clone(), c.axes.clone()));
-    (causes.collect(), diagnosis.gap.closed)
-}
+use common::{causes, drawn};
 
 #[test]
 fn a_loop_of_bouc_and_wens_is_a_loop() {
-    let (causes, closed) = found(1010, 113, "hysteresis-shape");
-    assert_eq!(causes, [("hysteresis-shape".into(), vec![3])]);
-    assert!(closed > 0.98, "{closed}");
+    let diagnosis = drawn(1010, 113, &["hysteresis-shape"]);
+    assert_eq!(causes(&diagnosis), [("hysteresis-shape", &[3][..])]);
+    assert!(diagnosis.gap.closed > 0.98, "{}", diagnosis.gap.closed);
 }
 
 #[test]
 fn a_loop_of_one_sided_plays_is_a_loop() {
-    let (causes, closed) = found(1010, 101, "hysteresis-shape");
-    assert_eq!(causes, [("hysteresis-shape".into(), vec![1])]);
-    assert!(closed > 0.98, "{closed}");
+    let diagnosis = drawn(1010, 101, &["hysteresis-shape"]);
+    assert_eq!(causes(&diagnosis), [("hysteresis-shape", &[1][..])]);
+    assert!(diagnosis.gap.closed > 0.98, "{}", diagnosis.gap.closed);
 }
 
 #[test]
 fn half_a_per_cent_of_gain_is_no_loop() {
-    let (causes, _) = found(1414, 13, "piezo-gain");
-    assert_eq!(causes[0], ("piezo-gain".into(), vec![2, 3]));
-    assert!(causes.iter().all(|(effect, _)| effect != "hysteresis-shape"), "{causes:?}");
+    let diagnosis = drawn(1414, 13, &["piezo-gain"]);
+    let causes = causes(&diagnosis);
+    assert_eq!(causes[0], ("piezo-gain", &[2, 3][..]));
+    assert!(causes.iter().all(|(effect, _)| *effect != "hysteresis-shape"), "{causes:?}");
+}
+
+#[test]
+fn a_loop_is_one_beside_what_other_axes_have() {
+    let diagnosis = drawn(1616, 9, &["hysteresis-shape", "sensor-crosstalk"]);
+    let named = [("hysteresis-shape", &[1][..]), ("sensor-crosstalk", &[2, 3])];
+    assert_eq!(causes(&diagnosis), named);
 }

@@ -52,3 +52,10 @@ fn a_lag_of_two_poles_is_one_cause() {
     assert!(!curvatures.is_empty());
     assert!(curvatures.iter().all(|c| (c - 0.49).abs() < 0.02), "{curvatures:?}");
 }
+
+/// Its resonance with the axis lies a third below its own.
+#[test]
+fn a_heavy_part_that_swings_is_no_mass_that_sits_fast() {
+    let diagnosis = common::drawn(1616, 74, &["second-mass"]);
+    assert_eq!(common::causes(&diagnosis), [("second-mass", &[3][..])]);
+}

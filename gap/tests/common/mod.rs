@@ -86,10 +86,10 @@ pub fn session_of(
 
 /// What is said of a case of the truth generator, which shares no code with the catalogue. `of`: what it was drawn for; the generator is
 /// free to change, and then another case has to be chosen.
-pub fn drawn(seed: u64, index: u64, of: &str) -> Diagnosis {
+pub fn drawn(seed: u64, index: u64, of: &[&str]) -> Diagnosis {
     let mut case = Case::draw(seed, index, &Draw { other_rigs: true, ..Draw::default() });
     let truth: Vec<&str> = case.label.truth.iter().map(|t| t.effect.as_str()).collect();
-    assert_eq!(truth, [of], "seed {seed}, case {index} is another one now: choose a new one");
+    assert_eq!(truth, of, "seed {seed}, case {index} is another one now: choose a new one");
     case.label.id = "case".into();
     let folder = tempfile::tempdir().expect("folder");
     case.write(folder.path()).expect("written");
@@ -97,4 +97,9 @@ pub fn drawn(seed: u64, index: u64, of: &str) -> Diagnosis {
     let rig = Rig::load(&case.join("rig.toml")).expect("rig");
     let session = Session::read(case.join("session"), None).expect("session");
     diagnose(&rig, &session, &Options::default()).expect("a diagnosis").diagnosis
+}
+
+/// Effects and axes that are named.
+pub fn causes(diagnosis: &Diagnosis) -> Vec<(&str, &[usize])> {
+    diagnosis.causes.iter().map(|c| (c.effect.as_str(), &c.axes[..])).collect()
 }

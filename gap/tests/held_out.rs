@@ -1,0 +1,18 @@
+//! What is promised has to be measured where there is something to close.
+
+use gap::diagnosis::{Role, Verdict};
+
+mod common;
+
+use common::{causes, drawn};
+
+/// A limit of the current that squares reach, a step hardly, and nothing else.
+#[test]
+fn a_gap_of_one_recording_is_checked_on_a_part_of_it() {
+    let diagnosis = drawn(1616, 75, &["amplifier-current-limit"]);
+    let named = vec![("amplifier-current-limit", &[1, 2, 3][..])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert!(diagnosis.gap.closed > 0.95, "{:?}", diagnosis.gap);
+    assert!(diagnosis.gap.before_nm > 10.0 * diagnosis.gap.floor_nm, "{:?}", diagnosis.gap);
+    assert!(diagnosis.recordings.iter().all(|r| r.role == Role::Fit));
+}
