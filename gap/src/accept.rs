@@ -12,8 +12,11 @@ use crate::scene::{Channel, Scene, Stack};
 const AXIS_EXCESS: f64 = 0.06;
 /// The same for one recording of one axis: 0.55 sigma.
 const CHANNEL_EXCESS: f64 = 0.3;
-/// ... beyond this share of the motion in it: on the edges of 100 V squares integrators differ by about as much.
+/// Both beyond this share of the motion in a recording: on the edges of 100 V squares integrators differ by about as much.
 const SHARE_OF_MOTION: f64 = 5.0e-4;
+/// ... and beyond this share of its motion from sample to sample: half a step of an integrator that takes 16 a tick. Random binary
+/// drives and fast sweeps show it.
+const SHARE_OF_STEP: f64 = 0.03;
 /// ... and it must be this many standard deviations of a chi-square sum.
 const SIGNIFICANT: f64 = 6.0;
 /// Held-out share that an explanation must close to be called one.
@@ -40,10 +43,10 @@ pub fn gaps(scene: &Scene, stack: &Stack) -> Vec<AxisGapSize> {
     for (c, channel) in scene.channels.iter().enumerate() {
         let Some(row) = &stack[c] else { continue };
         let (own, floor, spread) = channel.excess_of(row);
-        let significant = own > SIGNIFICANT * spread.sqrt();
-        if significant {
-            let allowed = row.len() as f64 * (SHARE_OF_MOTION * motion(scene, channel)).powi(2);
-            worst[channel.axis] = worst[channel.axis].max((own - allowed) / floor / CHANNEL_EXCESS);
+        let mut own = own;
+        if own > SIGNIFICANT * spread.sqrt() {
+            own = (own - row.len() as f64 * of_integrators(scene, channel)).max(0.0);
+            worst[channel.axis] = worst[channel.axis].max(own / floor / CHANNEL_EXCESS);
         }
         if channel.kind == Kind::Position {
             excess[channel.axis] += own;
@@ -60,16 +63,22 @@ pub fn gaps(scene: &Scene, stack: &Stack) -> Vec<AxisGapSize> {
         .collect()
 }
 
-/// Standard deviation of what a channel measured, in units of its noise.
-fn motion(scene: &Scene, channel: &Channel) -> f64 {
+/// Variance by which integrators may differ on what a channel measured, noise variances.
+fn of_integrators(scene: &Scene, channel: &Channel) -> f64 {
     let track = &scene.tracks[channel.track];
-    let measured = match channel.kind {
-        Kind::Position => &track.position_um[channel.axis],
-        Kind::Monitor => &track.monitor_v[channel.axis],
+    let (measured, of_step) = match channel.kind {
+        Kind::Position => (&track.position_um[channel.axis], SHARE_OF_STEP),
+        Kind::Monitor => (&track.monitor_v[channel.axis], 0.0),
     };
     let Some(measured) = measured else { return 0.0 };
-    let present = channel.range.clone().filter(|&i| track.present[i]);
-    present.map(|i| f64::from(measured[i])).population_std_dev() / channel.sigma
+    let present = |i: &usize| track.present[*i];
+    let moved = channel.range.clone().filter(present).map(|i| f64::from(measured[i]));
+    let both = channel.range.clone().skip(1).filter(|i| present(i) && present(&(i - 1)));
+    let step = both.map(|i| f64::from(measured[i]) - f64::from(measured[i - 1]));
+    let share = |share: f64, deviation: f64| {
+        if deviation.is_finite() { (share * deviation / channel.sigma).powi(2) } else { 0.0 }
+    };
+    share(SHARE_OF_MOTION, moved.population_std_dev()) + share(of_step, step.population_std_dev())
 }
 
 /// Whether the difference between two stacks would count as a gap, on any axis or in any recording of one.

@@ -264,6 +264,10 @@ pub(crate) fn with_gap(
     tracks.into_iter().map(|(track, _)| track).collect()
 }
 
+/// Share of the whole gap that causes have to close to be named at all: a tenth of a nanometre on one axis is no answer to sixty on
+/// another, and as likely the integrator's.
+const LEAST_OVERALL: f64 = 0.02;
+
 /// Take back causes on axes that stay mostly open: they are proxies of something that is not in the catalogue.
 pub(crate) fn abstain(
     rig: &Rig,
@@ -293,7 +297,7 @@ pub(crate) fn abstain(
     }
     let loud: Vec<bool> = gaps.iter().map(|g| g.counts).collect();
     restrict(rig, &mut found, &trusted, &loud)?;
-    Ok((!found.model.terms.is_empty() && overall >= 0.0).then_some(found))
+    Ok((!found.model.terms.is_empty() && overall >= LEAST_OVERALL).then_some(found))
 }
 
 /// Keep only the places that act on trusted axes and reach an axis with a gap: what takes a little noise off a quiet axis is no cause.

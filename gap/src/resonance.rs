@@ -144,13 +144,12 @@ impl Search<'_> {
             .iter()
             .filter_map(|place| Mode::of(name, &self.nominal.axes[place.on()]))
             .collect();
-        let late: Option<fn(&[f64]) -> Vec<Vec<f64>>> = match name {
-            "sensor-bandwidth" => Some(lags),
-            "drive-delay" => Some(delays),
+        let late = |start: &Vec<f64>| match name {
+            "sensor-bandwidth" => Some(lags(start)),
+            "drive-delay" => Some(delays(start)),
             _ => None,
         };
-        if let Some(around) = late {
-            let offers: Vec<Vec<Vec<f64>>> = starts.iter().map(|start| around(start)).collect();
+        if let Some(offers) = starts.iter().map(late).collect::<Option<Vec<_>>>() {
             return self.best_of_offers(known, (effect, places), &offers, &self.telling(left));
         }
         if modes.is_empty() {

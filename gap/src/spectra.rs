@@ -30,6 +30,32 @@ pub fn spectrum(row: &[f32], rate_hz: f64) -> (f64, Vec<f64>) {
     (rate_hz / n as f64, output.iter().map(|c| c.norm_sqr() * scale).collect())
 }
 
+/// Longest stretch of a recording that one spectrum is taken of where a resonance is looked for.
+const STRETCH: usize = 8192;
+
+/// Mean power spectrum of stretches that overlap by three quarters (Welch's method): frequency step in Hz and density of each bin. Stretches
+/// begin before the recording and end behind it, so that all samples weigh the same: a sweep ends where it is fastest, and a window over the
+/// whole of it takes that away.
+fn mean_spectrum(row: &[f32], rate_hz: f64) -> (f64, Vec<f64>) {
+    let hop = (STRETCH.min(row.len()) / 4).max(1);
+    let mean = row.iter().sum::<f32>() / row.len().max(1) as f32;
+    let mut padded = vec![0.0; 3 * hop];
+    padded.extend(row.iter().map(|x| x - mean));
+    padded.resize(padded.len().next_multiple_of(hop) + 3 * hop, 0.0);
+    let mut sum: Vec<f64> = Vec::new();
+    let mut step = 1.0;
+    for start in (0..=padded.len() - 4 * hop).step_by(hop) {
+        let (own, power) = spectrum(&padded[start..start + 4 * hop], rate_hz);
+        step = own;
+        sum.resize(power.len(), 0.0);
+        sum.iter_mut().zip(&power).for_each(|(sum, power)| *sum += power);
+    }
+    // As many as there are hops in the recording: stretches at both ends are partly empty.
+    let hops = row.len() as f64 / hop as f64;
+    sum.iter_mut().for_each(|power| *power /= hops);
+    (step, sum)
+}
+
 /// Slowest hum, Hz: mains and supplies are faster, and what stands out below is a harmonic of a slow drive, a nonlinearity.
 pub(crate) const SLOWEST_HUM_HZ: f64 = 20.0;
 
@@ -168,8 +194,8 @@ pub(crate) fn resonances(scene: &Scene, raw: &Stack) -> Vec<Vec<f64>> {
         let measured: Vec<f32> =
             channel.range.clone().map(|i| position[i] / channel.sigma as f32).collect();
         let simulated: Vec<f32> = measured.iter().zip(row).map(|(m, r)| m - r).collect();
-        let (step, power) = spectrum(&measured, track.rate_hz);
-        let (_, model) = spectrum(&simulated, track.rate_hz);
+        let (step, power) = mean_spectrum(&measured, track.rate_hz);
+        let (_, model) = mean_spectrum(&simulated, track.rate_hz);
         let noise = 2.0 / track.rate_hz;
         for (k, (&p, &m)) in power.iter().zip(&model).enumerate().skip(1) {
             let hz = k as f64 * step;
@@ -183,7 +209,7 @@ pub(crate) fn resonances(scene: &Scene, raw: &Stack) -> Vec<Vec<f64>> {
         }
         // A slow recording shows the alias of what rings.
         if track.rate_hz > 0.5 * fastest {
-            let (_, left) = spectrum(row, track.rate_hz);
+            let (_, left) = mean_spectrum(row, track.rate_hz);
             let ring = &mut rings[channel.axis];
             for (k, &p) in left.iter().enumerate() {
                 let hz = k as f64 * step;
@@ -213,4 +239,30 @@ pub(crate) fn resonances(scene: &Scene, raw: &Stack) -> Vec<Vec<f64>> {
             found
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A tone in the last 3 % alone.
+    #[test]
+    fn what_comes_last_weighs_as_much_as_what_comes_first() {
+        const COUNT: usize = 40_000;
+        const RATE_HZ: f64 = 10_000.0;
+        let tone = |first: usize| -> Vec<f32> {
+            let is_on = |i: usize| i >= first && i < first + 1_200;
+            let value = |i: usize| (std::f64::consts::TAU * 1_690.0 * i as f64 / RATE_HZ).sin();
+            (0..COUNT).map(|i| if is_on(i) { value(i) as f32 } else { 0.0 }).collect()
+        };
+        let power = |row: &[f32]| {
+            let (step, power) = mean_spectrum(row, RATE_HZ);
+            step * power.iter().sum::<f64>()
+        };
+        let is = 0.5 * 1_200.0 / COUNT as f64;
+        for first in [0, 17_000, COUNT - 1_200] {
+            let found = power(&tone(first));
+            assert!((found / is - 1.0).abs() < 0.05, "from {first}: {found} of {is}");
+        }
+    }
 }

@@ -59,3 +59,10 @@ fn a_heavy_part_that_swings_is_no_mass_that_sits_fast() {
     let diagnosis = common::drawn(1616, 74, &["second-mass"]);
     assert_eq!(common::causes(&diagnosis), [("second-mass", &[3][..])]);
 }
+
+/// A sweep ends where the axis rings, and nothing else of the session goes there.
+#[test]
+fn a_mass_is_found_at_the_end_of_a_sweep() {
+    let diagnosis = common::drawn(1818, 44, &["inertia"]);
+    assert_eq!(common::causes(&diagnosis), [("inertia", &[3][..])]);
+}
