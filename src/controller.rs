@@ -3,8 +3,10 @@
 //! A tick is called once every 0.1 ms with the codes sampled at that instant. The DAC codes of its record are latched by
 //! the next trigger: the drive acts one period after the sample, for one period, whatever the interrupt's jitter.
 
+use core::borrow::BorrowMut;
+
 use crate::config::Config;
-use crate::generator::Table;
+use crate::generator::{Multisines, Table};
 use crate::guard::{Command, Refusal};
 use crate::record::{AxisRecord, Faults, Flags, Limits, Record, Sample, State};
 use crate::units::{Gain, Um};
@@ -16,10 +18,12 @@ use axis::{Axis, Shared};
 /// Two ticks an axis.
 const TAKEOVER_TICKS: u32 = 2 * AXES as u32;
 
-/// State of the controller. Holds no configuration.
+/// State of the controller. Holds no configuration. `M` is where its multisines are: within it, or, where that is too much to be
+/// moved, elsewhere.
 #[derive(Clone, Debug)]
-pub struct Controller {
+pub struct Controller<M = [Multisines; AXES]> {
     axes: [Axis; AXES],
+    multisines: M,
     state: State,
     faults: Faults,
     faulted_axes: u32,
@@ -48,8 +52,16 @@ impl Default for Controller {
 impl Controller {
     /// Off, with every drive at 0 V.
     pub const fn new() -> Self {
+        Self::with([Multisines::NONE; AXES])
+    }
+}
+
+impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
+    /// As [`Controller::new`], with room for multisines.
+    pub const fn with(multisines: M) -> Self {
         Self {
             axes: [Axis::REST; AXES],
+            multisines,
             state: State::Off,
             faults: Faults::NONE,
             faulted_axes: 0,
@@ -81,9 +93,15 @@ impl Controller {
     }
 
     /// Take a command; it acts from the next tick on. Call it where [`Controller::tick`] is called, before it.
+    #[inline(always)]
+    pub fn command(&mut self, config: &Config, command: Command) -> Result<(), Refusal> {
+        self.obey(config, &command)
+    }
+
+    /// As [`Controller::command`], of a command that stays where it is.
     #[inline(never)]
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
-    pub fn command(&mut self, config: &Config, command: Command) -> Result<(), Refusal> {
+    pub fn obey(&mut self, config: &Config, command: &Command) -> Result<(), Refusal> {
         self.silence = 0;
         match command {
             Command::KeepAlive => Ok(()),
@@ -109,14 +127,29 @@ impl Controller {
                 }
                 Ok(())
             }
-            Command::Stage { axis, generator } => match self.axes.get_mut(axis as usize) {
-                Some(axis) => {
-                    axis.trajectory.stage(&generator);
+            Command::Stage { axis, generator } => {
+                let (axis, multisines) = self.axis(*axis)?;
+                axis.trajectory.stage(multisines, generator);
+                Ok(())
+            }
+            Command::StagePart { axis, part, words } => {
+                let (axis, multisines) = self.axis(*axis)?;
+                if axis.trajectory.stage_part(multisines, usize::from(*part), words) {
                     Ok(())
+                } else {
+                    Err(Refusal::NothingStaged)
                 }
-                None => Err(Refusal::NoSuchAxis),
-            },
-            Command::Start { axes } => self.start(axes as u32),
+            }
+            Command::Start { axes } => self.start(u32::from(*axes)),
+        }
+    }
+
+    #[inline(always)]
+    fn axis(&mut self, axis: u8) -> Result<(&mut Axis, &mut Multisines), Refusal> {
+        let k = usize::from(axis);
+        match (self.axes.get_mut(k), self.multisines.borrow_mut().get_mut(k)) {
+            (Some(axis), Some(multisines)) => Ok((axis, multisines)),
+            _ => Err(Refusal::NoSuchAxis),
         }
     }
 
@@ -160,9 +193,9 @@ impl Controller {
             bit <<= 1;
         }
         let mut bit = 1;
-        for axis in &mut self.axes {
+        for (axis, multisines) in self.axes.iter_mut().zip(self.multisines.borrow_mut()) {
             if axes & bit != 0 {
-                axis.trajectory.start_staged();
+                axis.trajectory.start_staged(multisines);
             }
             bit <<= 1;
         }
@@ -324,10 +357,17 @@ impl Controller {
             }
         }
 
+        if closing {
+            for axis in &mut self.axes {
+                axis.close();
+            }
+        }
         let mut moving = false;
-        for (axis, settings) in self.axes.iter_mut().zip(&config.axes) {
+        for ((axis, multisines), settings) in
+            self.axes.iter_mut().zip(self.multisines.borrow_mut()).zip(&config.axes)
+        {
             if rebase || !axis.trajectory.is_asleep() {
-                axis.lead(settings, table, closing);
+                axis.lead(settings, table, multisines);
                 moving |= axis.trajectory.is_moving();
             }
         }

@@ -3,7 +3,7 @@
 //! Conditions that may be noise for a tick are counted over consecutive ticks. A fault is latched, brings all axes into
 //! [`State::Fault`](crate::State::Fault) and returns their drives at a fixed slow rate to the safe voltage: a stack is never stepped.
 
-use crate::generator::Generator;
+use crate::generator::{Generator, Part};
 use crate::record::Faults;
 use crate::units::{Quantity, Um, Volt};
 
@@ -16,12 +16,22 @@ pub enum Command {
     Disarm,
     /// Bring every reference to rest and hold it.
     Hold,
-    /// Keep a waveform for one axis (from 0) until it is started.
+    /// Keep a waveform for one axis (from 0) until it is started. A multisine is staged once its parts have come too:
+    /// [`Generator::staging`] yields all commands that it takes.
     Stage {
         /// Axis, from 0.
         axis: u8,
         /// The waveform.
         generator: Generator,
+    },
+    /// One of the parts of the waveform that was staged last, in any order, once.
+    StagePart {
+        /// Axis, from 0.
+        axis: u8,
+        /// Which part, below [`PARTS`](crate::generator::PARTS).
+        part: u8,
+        /// What it holds.
+        words: Part,
     },
     /// Start the staged waveforms of these axes (bit 0 = axis 0), all at the same tick.
     Start {

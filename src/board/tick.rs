@@ -20,10 +20,11 @@ use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, Ordering};
 
 use embassy_stm32::interrupt;
 use heapless::spsc::{Consumer, Producer, Queue};
-use static_cell::StaticCell;
+use static_cell::{ConstStaticCell, StaticCell};
 
 use super::timebase::TICK_CYCLES;
 use super::{converters, crash, outputs, records, timebase};
+use crate::generator::Multisines;
 use crate::link::message::{HISTOGRAM_BIN_CYCLES, HISTOGRAM_BINS};
 use crate::{AXES, Command, Config, Controller, Faults, Flags, Record, Refusal, Sample, Table};
 
@@ -57,7 +58,7 @@ pub struct Ends {
 }
 
 struct State {
-    controller: Controller,
+    controller: Controller<&'static mut [Multisines; AXES]>,
     records: records::Producer,
     orders: Consumer<'static, Order>,
     answers: Producer<'static, Answer>,
@@ -84,6 +85,9 @@ impl<T> Shared<T> {
 }
 
 static STATE: Shared<State> = Shared::new();
+/// Half as large as the stack, so never moved; all zero, so not in flash.
+static MULTISINES: ConstStaticCell<[Multisines; AXES]> =
+    ConstStaticCell::new([Multisines::NONE; AXES]);
 static CONFIGS: [Shared<Config>; 2] = [Shared::new(), Shared::new()];
 #[unsafe(link_section = ".ccm_bss")]
 static TABLE: Shared<Table> = Shared::new();
@@ -133,7 +137,7 @@ pub fn init(config: Config, faults: Faults) -> Ends {
     let (records_in, records) = unsafe { records::split() };
     let (orders, orders_out) = ORDER_QUEUE.init_with(Queue::new).split();
     let (answers_in, answers) = ANSWER_QUEUE.init_with(Queue::new).split();
-    let mut controller = Controller::new();
+    let mut controller = Controller::with(MULTISINES.take());
     controller.trip(faults);
     let state = State {
         controller,
@@ -209,18 +213,20 @@ unsafe fn ADC3() {
     // SAFETY: `init` made it from a queue of this length; one place always stays empty. The ends of a queue have forgotten its
     // length: this lets indices wrap by a mask instead of a division that could be by zero.
     unsafe { core::hint::assert_unchecked(state.orders.capacity() == ORDERS - 1) };
-    match state.orders.dequeue() {
+    // Read where it lies: a copy of the longest would be a call.
+    match state.orders.peek() {
         Some(Order::Command(command)) => {
             let tick = SHOWN.ticks.load(Ordering::Relaxed);
-            let answer = state.controller.command(config, command).map(|()| tick);
+            let answer = state.controller.obey(config, command).map(|()| tick);
             // SAFETY: as above.
             unsafe { core::hint::assert_unchecked(state.answers.capacity() == ORDERS - 1) };
             // One command waits for its answer at a time, so there is room.
             let _ = state.answers.enqueue(answer);
         }
-        Some(Order::Trip(faults)) => state.controller.trip(faults),
+        Some(Order::Trip(faults)) => state.controller.trip(*faults),
         None => {}
     }
+    let _ = state.orders.dequeue();
 
     let converters::Codes { gauge, monitor } = state.codes;
     let sample = Sample {

@@ -8,7 +8,7 @@ use crate::MAX_CREEP;
 use crate::config::{AxisConfig, GuardConfig};
 use crate::feedback::FeedbackState;
 use crate::feedforward::FeedforwardState;
-use crate::generator::Table;
+use crate::generator::{Multisines, Table};
 use crate::guard::{Seen, WatchState};
 use crate::record::{AxisRecord, Faults, Limits};
 use crate::trajectory::{Motion, Trajectory};
@@ -113,18 +113,28 @@ impl Axis {
         }
     }
 
-    /// Where the reference goes. On the tick that closes the loop it starts where the stage is, and nothing is remembered.
+    /// The loop closes: the reference starts where the stage is, and nothing is remembered.
+    #[cold]
     #[inline(never)]
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
-    pub(super) fn lead(&mut self, config: &AxisConfig, table: Option<&Table>, closing: bool) {
-        if closing {
-            self.trajectory.reset(self.position);
-            self.feedforward.reset();
-            self.feedback.reset();
-            self.excess = Volt::ZERO;
-        }
+    pub(super) fn close(&mut self) {
+        self.trajectory.reset(self.position);
+        self.feedforward.reset();
+        self.feedback.reset();
+        self.excess = Volt::ZERO;
+    }
+
+    /// Where the reference goes.
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
+    pub(super) fn lead(
+        &mut self,
+        config: &AxisConfig,
+        table: Option<&Table>,
+        multisines: &mut Multisines,
+    ) {
         let [low, high] = config.travel;
-        self.motion = self.trajectory.step(table, low, high);
+        self.motion = self.trajectory.step(table, multisines, low, high);
     }
 
     /// The control law: the drive, and the axis' part of the record. `REBASE`: coefficients have changed, or the loop was just closed:

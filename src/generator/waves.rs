@@ -103,8 +103,14 @@ pub(super) fn multisine_sum(phase: u32, first: u16, stride: u16, tones: u8, sign
     high(swing, cos_q30(ahead)).wrapping_add(high(d << 6, sin_q30(back))) << 2
 }
 
-/// Q6.25 factor that brings the largest value over a period to 1 (less a fiftieth for what lies between the samples).
-pub(super) fn multisine_scale(first: u16, stride: u16, tones: u8, signs: u32, highest: u32) -> i32 {
+/// Amplitude of a tone, Q1.30, with which the largest value over a period is 1 (less a fiftieth for what lies between the samples).
+pub(super) fn multisine_amplitude(
+    first: u16,
+    stride: u16,
+    tones: u8,
+    signs: u32,
+    highest: u32,
+) -> i32 {
     let samples = 16 * highest;
     let step = u32::MAX / samples;
     let peak = (0..samples)
@@ -112,5 +118,6 @@ pub(super) fn multisine_scale(first: u16, stride: u16, tones: u8, signs: u32, hi
         .max()
         .unwrap_or(0)
         .max(1 << 20);
-    ((1u64 << 55) as f64 * 0.98 / peak as f64) as i32
+    // Of a sixteenth of the sum: 30 bits of the peak and 30 of the amplitude, less 4.
+    (((1u64 << 56) as f64 * 0.98 / peak as f64) as i32).min(ONE_Q30)
 }

@@ -124,10 +124,30 @@ fn full(settings: &mut Settings) {
 /// The dearest tick while `act` goes on.
 fn dearest(b: &mut Bench, what: &str, act: impl FnOnce(&mut Bench)) -> u64 {
     b.machine.profile().clear();
+    b.machine.profile().traced = Some(irq(ADC3));
     act(b);
+    b.machine.profile().traced = None;
     let most = b.machine.profile().costs[&irq(ADC3)].max;
     println!("{what}: {most} instructions in the dearest tick");
+    print_around(&b.machine.profile().runs);
     most
+}
+
+/// The dearest runs and what came before and after them.
+fn print_around(runs: &[u64]) {
+    let mut order: Vec<usize> = (0..runs.len()).collect();
+    order.sort_by_key(|&n| std::cmp::Reverse(runs[n]));
+    let mut shown: Vec<usize> = Vec::new();
+    for n in order {
+        if shown.len() == 3 {
+            break;
+        }
+        if shown.iter().all(|other| other.abs_diff(n) > 12) {
+            shown.push(n);
+            let around = &runs[n.saturating_sub(8)..runs.len().min(n + 9)];
+            println!("  tick {n}: {around:?}");
+        }
+    }
 }
 
 /// So many sets of settings, one after the other.

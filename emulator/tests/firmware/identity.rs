@@ -51,7 +51,7 @@ fn a_minute_of_mixed_motion_is_bit_identical() {
         for (axis, generator) in waves {
             let generator = Generator::build(generator).unwrap();
             // Staging changes nothing until the start, so the tick of the start will do.
-            told.push((tick, Told::Control(Command::Stage { axis: *axis, generator })));
+            told.extend(generator.staging(*axis).map(|command| (tick, Told::Control(command))));
             axes |= 1 << axis;
         }
         told.push((tick, Told::Control(Command::Start { axes })));
