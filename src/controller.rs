@@ -60,7 +60,7 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
     /// As [`Controller::new`], with room for multisines.
     pub const fn with(multisines: M) -> Self {
         Self {
-            axes: [Axis::REST; AXES],
+            axes: [Axis::at_rest(0), Axis::at_rest(1), Axis::at_rest(2)],
             multisines,
             state: State::Off,
             faults: Faults::NONE,
@@ -363,11 +363,9 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
             }
         }
         let mut moving = false;
-        for ((axis, multisines), settings) in
-            self.axes.iter_mut().zip(self.multisines.borrow_mut()).zip(&config.axes)
-        {
+        for (axis, settings) in self.axes.iter_mut().zip(&config.axes) {
             if rebase || !axis.trajectory.is_asleep() {
-                axis.lead(settings, table, multisines);
+                axis.lead(settings, table, self.multisines.borrow_mut());
                 moving |= axis.trajectory.is_moving();
             }
         }

@@ -301,9 +301,7 @@ impl Generator {
                         stride: m.stride,
                         tones: m.tones,
                         signs,
-                        amplitude: multisine_amplitude(
-                            m.first, m.stride, m.tones, signs, highest,
-                        ),
+                        amplitude: multisine_amplitude(m.first, m.stride, m.tones, signs, highest),
                     },
                     center: position("center_um", m.center_um)?,
                     amplitude: amplitude("peak_um", m.peak_um)?,

@@ -171,12 +171,12 @@ impl Trajectory {
         self.still = 0;
     }
 
-    /// One tick: returns the motion at n + 2.
+    /// One tick: returns the motion at n + 2. `multisine`: the next value of the multisine that runs.
     #[inline(always)]
     pub fn step(
         &mut self,
         table: Option<&Table>,
-        multisines: &mut Multisines,
+        multisine: impl FnOnce() -> i32,
         low: Um,
         high: Um,
     ) -> Motion {
@@ -189,7 +189,7 @@ impl Trajectory {
         let wanted = match self.generator.shape {
             Shape::Stop => self.start,
             shape => {
-                let target = self.waveform(table, multisines, shape);
+                let target = self.waveform(table, multisine, shape);
                 if self.blend == u32::MAX {
                     target
                 } else {
@@ -225,14 +225,14 @@ impl Trajectory {
     fn waveform(
         &mut self,
         table: Option<&Table>,
-        multisines: &mut Multisines,
+        multisine: impl FnOnce() -> i32,
         shape: Shape,
     ) -> Um {
         if let Shape::Go { .. } = shape {
             return self.generator.center;
         }
         let mut w = match shape {
-            Shape::Multisine { .. } => multisines.step(),
+            Shape::Multisine { .. } => multisine(),
             _ => self.generator.wave(table, self.phase),
         };
         self.phase = self.phase.wrapping_add((self.step >> 32) as u32);

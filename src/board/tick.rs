@@ -214,19 +214,20 @@ unsafe fn ADC3() {
     // length: this lets indices wrap by a mask instead of a division that could be by zero.
     unsafe { core::hint::assert_unchecked(state.orders.capacity() == ORDERS - 1) };
     // Read where it lies: a copy of the longest would be a call.
-    match state.orders.peek() {
-        Some(Order::Command(command)) => {
-            let tick = SHOWN.ticks.load(Ordering::Relaxed);
-            let answer = state.controller.obey(config, command).map(|()| tick);
-            // SAFETY: as above.
-            unsafe { core::hint::assert_unchecked(state.answers.capacity() == ORDERS - 1) };
-            // One command waits for its answer at a time, so there is room.
-            let _ = state.answers.enqueue(answer);
+    if let Some(order) = state.orders.peek() {
+        match order {
+            Order::Command(command) => {
+                let tick = SHOWN.ticks.load(Ordering::Relaxed);
+                let answer = state.controller.obey(config, command).map(|()| tick);
+                // SAFETY: as above.
+                unsafe { core::hint::assert_unchecked(state.answers.capacity() == ORDERS - 1) };
+                // One command waits for its answer at a time, so there is room.
+                let _ = state.answers.enqueue(answer);
+            }
+            Order::Trip(faults) => state.controller.trip(*faults),
         }
-        Some(Order::Trip(faults)) => state.controller.trip(*faults),
-        None => {}
+        let _ = state.orders.dequeue();
     }
-    let _ = state.orders.dequeue();
 
     let converters::Codes { gauge, monitor } = state.codes;
     let sample = Sample {

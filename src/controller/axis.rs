@@ -4,7 +4,6 @@
 //! tick: each then has all registers for the pointers and sums that it needs. Inlined, a third of the tick's instructions moved them to
 //! the stack and back.
 
-use crate::MAX_CREEP;
 use crate::config::{AxisConfig, GuardConfig};
 use crate::feedback::FeedbackState;
 use crate::feedforward::FeedforwardState;
@@ -13,10 +12,13 @@ use crate::guard::{Seen, WatchState};
 use crate::record::{AxisRecord, Faults, Limits};
 use crate::trajectory::{Motion, Trajectory};
 use crate::units::{Um, Volt};
+use crate::{AXES, MAX_CREEP};
 
 /// State of one axis.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Axis {
+    /// From 0.
+    number: usize,
     pub(super) trajectory: Trajectory,
     feedforward: FeedforwardState,
     feedback: FeedbackState,
@@ -54,21 +56,25 @@ impl Shared {
 }
 
 impl Axis {
-    pub(super) const REST: Self = Self {
-        trajectory: Trajectory::at(Um::ZERO),
-        feedforward: FeedforwardState::REST,
-        feedback: FeedbackState::REST,
-        watch: WatchState::REST,
-        motion: Motion::REST,
-        others: [Um::ZERO; 2],
-        position: Um::ZERO,
-        monitor: Volt::ZERO,
-        drive: Volt::ZERO,
-        excess: Volt::ZERO,
-        bump: Volt::ZERO,
-        dac_error: 0,
-        limits: Limits::NONE,
-    };
+    /// Nothing has happened yet.
+    pub(super) const fn at_rest(number: usize) -> Self {
+        Self {
+            number,
+            trajectory: Trajectory::at(Um::ZERO),
+            feedforward: FeedforwardState::REST,
+            feedback: FeedbackState::REST,
+            watch: WatchState::REST,
+            motion: Motion::REST,
+            others: [Um::ZERO; 2],
+            position: Um::ZERO,
+            monitor: Volt::ZERO,
+            drive: Volt::ZERO,
+            excess: Volt::ZERO,
+            bump: Volt::ZERO,
+            dac_error: 0,
+            limits: Limits::NONE,
+        }
+    }
 
     /// Takes the codes of gauge and amplifier over. Whether all is well with them; if not, [`Axis::examine`] has to follow.
     #[inline(never)]
@@ -131,10 +137,11 @@ impl Axis {
         &mut self,
         config: &AxisConfig,
         table: Option<&Table>,
-        multisines: &mut Multisines,
+        multisines: &mut [Multisines; AXES],
     ) {
         let [low, high] = config.travel;
-        self.motion = self.trajectory.step(table, multisines, low, high);
+        let multisine = || multisines.get_mut(self.number).map_or(0, Multisines::step);
+        self.motion = self.trajectory.step(table, multisine, low, high);
     }
 
     /// The control law: the drive, and the axis' part of the record. `REBASE`: coefficients have changed, or the loop was just closed:

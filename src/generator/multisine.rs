@@ -139,7 +139,8 @@ impl Tones {
         }
         let phase = if tick < 2 { self.stride } else { self.first };
         // Cosines in even ticks.
-        let value = sin_q30(if tick.is_multiple_of(2) { phase.wrapping_add(1 << 30) } else { phase });
+        let value =
+            sin_q30(if tick.is_multiple_of(2) { phase.wrapping_add(1 << 30) } else { phase });
         let [turn_cos, turn_sin] = &mut self.turn;
         let ([first_sin, ..], [first_cos, ..]) = (&mut self.sin, &mut self.cos);
         match tick {
@@ -293,7 +294,11 @@ impl Generator {
 
     /// One of these parts. Some hundred sines for the last one: off the hot path.
     pub(super) fn part(&self, part: usize) -> Part {
-        if part + 1 == PARTS { self.first_block() } else { self.factors(part / 2, 1 - part as u32 % 2) }
+        if part + 1 == PARTS {
+            self.first_block()
+        } else {
+            self.factors(part / 2, 1 - part as u32 % 2)
+        }
     }
 
     /// Cosines (`quarter` 1) or sines (0) of a pair, from the centre outwards.

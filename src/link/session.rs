@@ -349,11 +349,7 @@ fn stream_on<D: Device>(
 }
 
 /// Everything that a waveform needs before its start; the tick from which it waits.
-async fn stage<D: Device>(
-    device: &mut D,
-    axis: u8,
-    generator: Generator,
-) -> Result<u32, Refusal> {
+async fn stage<D: Device>(device: &mut D, axis: u8, generator: Generator) -> Result<u32, Refusal> {
     let mut staged = Err(Refusal::NotReady);
     for command in generator.staging(axis) {
         staged = device.control(command).await;

@@ -26,7 +26,8 @@ fn run(settings: &GeneratorSettings, ticks: usize) -> (Vec<f64>, f64) {
     trajectory.start_staged(&mut multisines);
     let (mut path, mut bend) = (Vec::new(), 0.0f64);
     for _ in 0..ticks {
-        let motion = trajectory.step(None, &mut multisines, Um::from_f32(-100.0), Um::from_f32(100.0));
+        let motion =
+            trajectory.step(None, || multisines.step(), Um::from_f32(-100.0), Um::from_f32(100.0));
         path.push(motion.position.to_f64());
         bend = bend.max((motion.acceleration.to_f64() / 16.0).abs());
     }
