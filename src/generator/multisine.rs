@@ -209,25 +209,24 @@ fn put(values: &mut Part, pair: usize, [before, after]: [i32; 2]) {
 #[inline(always)]
 fn around([cosines, sines]: &[Part; 2], tones: &Tones) -> [i32; 2] {
     // The upper word of a product has 28 fraction bits. All tones together stay below 6: of n tones, none is larger than the
-    // square root of 2/n.
-    let (even, odd) = (sum_of_products(cosines, &tones.sin), sum_of_products(sines, &tones.cos));
+    // square root of 2/n. One sum after the other: of two at a time the compiler keeps all words on the stack.
+    let even = add_products(0, cosines, &tones.sin);
+    let after = add_products(even, sines, &tones.cos);
+    let before = even.wrapping_add(even).wrapping_sub(after);
     let q30 = |value: i32| clamp_bits::<29>(value) << 2;
-    [q30(even.wrapping_sub(odd)), q30(even.wrapping_add(odd))]
+    [q30(before), q30(after)]
 }
 
-/// Over all tones, 32 bits less than the products have. A function of its own, or the compiler loads the words of both sums before it
-/// adds up the first.
-#[inline(never)]
-#[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
-fn sum_of_products(factors: &Part, tones: &Part) -> i32 {
+/// `sum` and the upper words of the products of all tones.
+#[inline(always)]
+fn add_products(sum: i32, factors: &Part, tones: &Part) -> i32 {
     let ((factors, _), (tones, _)) = (factors.as_chunks::<4>(), tones.as_chunks::<4>());
-    let mut sum = 0;
     // Written out: a loop's own instructions would be half as many as a tone's.
     if let ([f0, f1, f2, f3], [t0, t1, t2, t3]) = (factors, tones) {
-        sum = add_four(sum, *f0, *t0);
-        sum = add_four(sum, *f1, *t1);
-        sum = add_four(sum, *f2, *t2);
-        sum = add_four(sum, *f3, *t3);
+        let sum = add_four(sum, *f0, *t0);
+        let sum = add_four(sum, *f1, *t1);
+        let sum = add_four(sum, *f2, *t2);
+        return add_four(sum, *f3, *t3);
     }
     sum
 }
