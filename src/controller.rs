@@ -15,9 +15,6 @@ use crate::{AXES, creep};
 mod axis;
 use axis::{Axis, Shared};
 
-/// Two ticks an axis.
-const TAKEOVER_TICKS: u32 = 2 * AXES as u32;
-
 /// State of the controller. Holds no configuration. `M` is where its multisines are: within it, or, where that is too much to be
 /// moved, elsewhere.
 #[derive(Clone, Debug)]
@@ -36,8 +33,8 @@ pub struct Controller<M = [Multisines; AXES]> {
     bump_weight: u32,
     bump_step: u32,
     creep_clock: u32,
-    /// Ticks until the slip elements of all axes have taken over a new model: two an axis.
-    takeovers: u32,
+    /// Axes whose slip elements have taken over the newest model: the first ones.
+    taken_over: usize,
     /// The loop closes at this tick: memories start from the present.
     closing: bool,
     parked: bool,
@@ -73,7 +70,7 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
             bump_weight: 0,
             bump_step: 0,
             creep_clock: 0,
-            takeovers: 0,
+            taken_over: AXES,
             closing: false,
             parked: false,
         }
@@ -347,13 +344,14 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
             self.bump_weight = u32::MAX;
             self.bump_step =
                 if closing { config.guard.arming_step } else { config.guard.transition_step };
-            self.takeovers = if closing { 0 } else { TAKEOVER_TICKS };
+            self.taken_over = if closing { AXES } else { 0 };
         }
         // The tick of a change holds the drives, whatever the new configuration wants.
         if !rebase || closing {
-            self.bump_weight = self.bump_weight.saturating_sub(self.bump_step);
-            if self.takeovers != 0 {
+            if self.taken_over < AXES {
                 self.take_over(config);
+            } else {
+                self.bump_weight = self.bump_weight.saturating_sub(self.bump_step);
             }
         }
 
@@ -399,16 +397,16 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
         a.limits.with(b.limits).with(c.limits)
     }
 
-    /// In the ticks after a change of configuration the slip elements take over, half an axis a tick: all of them in the tick of the
-    /// change would cost as much again as two thirds of a tick.
+    /// In the ticks after a change of configuration the slip elements take over, a few of one axis a tick: all of them in the tick of
+    /// the change would cost as much again as two thirds of a tick.
     #[cold]
     #[inline(always)]
     fn take_over(&mut self, config: &Config) {
-        let done = TAKEOVER_TICKS.wrapping_sub(self.takeovers);
-        self.takeovers -= 1;
-        let k = done as usize / 2;
-        if let (Some(axis), Some(settings)) = (self.axes.get_mut(k), config.axes.get(k)) {
-            axis.take_over(settings, done.is_multiple_of(2));
+        let k = self.taken_over;
+        if let (Some(axis), Some(settings)) = (self.axes.get_mut(k), config.axes.get(k))
+            && axis.take_over(settings)
+        {
+            self.taken_over += 1;
         }
     }
 

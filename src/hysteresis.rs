@@ -45,7 +45,34 @@ pub struct HysteresisState {
     /// Between [`HysteresisState::carry`] and [`HysteresisState::take_over`]: the charges of the old and of the new model at one and
     /// the same instant.
     carried: Option<[MicroCoulomb; 2]>,
+    fitted: Fitted,
 }
+
+/// What of the new elements' line is known, while they are fitted.
+#[derive(Clone, Copy, Debug)]
+struct Fitted {
+    /// Elements that are fitted: the first ones.
+    elements: usize,
+    /// Sum of their elastances, and their voltage.
+    stiffest: Gain<MicroCoulomb, Volt>,
+    voltage: Wide<Volt>,
+    /// Limit and elastic charge of the last one.
+    slip: i32,
+    elastic: MicroCoulomb,
+}
+
+impl Fitted {
+    const NONE: Self = Self {
+        elements: 0,
+        stiffest: Gain::ZERO,
+        voltage: Wide::ZERO,
+        slip: 0,
+        elastic: MicroCoulomb::ZERO,
+    };
+}
+
+/// Elements that are fitted in one tick.
+const FIT_AT_ONCE: usize = 4;
 
 impl HysteresisState {
     /// Relaxed: a stack that was never driven, or was demagnetised. [`HysteresisState::relax`] comes before the first step.
@@ -60,6 +87,7 @@ impl HysteresisState {
         places: [MicroCoulomb::ZERO; MAX_MAXWELL],
         known: 0,
         carried: None,
+        fitted: Fitted::NONE,
     };
 
     /// As [`HysteresisState::RELAXED`], in place.
@@ -73,6 +101,12 @@ impl HysteresisState {
     #[inline(always)]
     pub const fn is_relaxed(&self) -> bool {
         self.known == 0
+    }
+
+    /// Whether new elements have not taken over yet.
+    #[inline(always)]
+    pub const fn is_carried(&self) -> bool {
+        self.carried.is_some()
     }
 
     /// The bits of a charge, all inverted while it falls: the order of charges is then the other way round, and nothing can
@@ -98,7 +132,21 @@ impl HysteresisState {
             *place = charge;
             slope = slope + element.elastance;
         }
-        self.all_stick(elements, charge, slope, Wide::ZERO - slope * charge);
+        (self.slope, self.stiffest, self.offset) = (slope, slope, Wide::ZERO - slope * charge);
+        self.last = self.mirrored(charge);
+        (self.slipping, self.known) = (0, elements.len());
+        self.find_end(elements);
+    }
+
+    /// The charge at which the next element slips.
+    #[inline(always)]
+    fn find_end(&mut self, elements: &[Maxwell]) {
+        self.end = match (self.places.get(self.slipping), elements.get(self.slipping)) {
+            (Some(place), Some(element)) => {
+                self.mirrored(*place).saturating_add(element.slip.to_bits())
+            }
+            _ => i32::MAX,
+        };
     }
 
     /// The model has changed, and with it the charge of the present instant: until [`HysteresisState::take_over`] the voltage goes on
@@ -113,27 +161,31 @@ impl HysteresisState {
         };
         self.offset = self.offset + self.slope * from - self.slope * charge;
         self.carried = Some([before, charge]);
+        self.fitted = Fitted::NONE;
     }
 
-    /// First half of taking over: the elements of the new model stand as far from the charge as those of the old one did when
-    /// [`HysteresisState::carry`] was called, as far as they may. Until [`HysteresisState::take_over`], `places` are all elastic charges.
+    /// A part of taking over: the next elements of the new model stand as far from the charge as those of the old one did when
+    /// [`HysteresisState::carry`] was called, as far as they may. Whether all did already: then [`HysteresisState::take_over`] comes.
     ///
-    /// Both halves visit all elements: the controller does one of them for one axis a tick.
+    /// Few at a time, and for one axis a tick: all of them would cost a tick more than all the rest that it does.
     #[cold]
     #[inline(never)]
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
-    pub fn fit(&mut self, elements: &[Maxwell]) {
-        let Some([before, _]) = self.carried else { return };
-        if let Some(sticking) = self.places.get_mut(self.slipping..self.known) {
-            for place in sticking {
-                *place = before - *place;
-            }
+    pub fn fit(&mut self, elements: &[Maxwell]) -> bool {
+        let (Some([before, _]), first) = (self.carried, self.fitted.elements) else { return true };
+        if first == 0 {
+            self.all_elastic(before);
         }
-        if let Some(new) = self.places.get_mut(self.known..elements.len()) {
-            crate::math::fill(new, MicroCoulomb::ZERO);
+        let (Some(places), Some(next)) = (self.places.get_mut(first..), elements.get(first..))
+        else {
+            return true;
+        };
+        if next.is_empty() {
+            return true;
         }
-        let (mut elastic, mut slip) = (MicroCoulomb::ZERO, 0);
-        for (place, element) in self.places.iter_mut().zip(elements) {
+        let Fitted { mut elastic, mut slip, mut stiffest, mut voltage, .. } = self.fitted;
+        let mut fitted = first;
+        for (place, element) in places.iter_mut().zip(next).take(FIT_AT_ONCE) {
             // New limits may be narrower, or wider apart than the order of slipping allows.
             let room = element.slip.to_bits().wrapping_sub(slip);
             slip = element.slip.to_bits();
@@ -142,11 +194,29 @@ impl HysteresisState {
             let high = MicroCoulomb::from_bits(elastic.to_bits().wrapping_add(room));
             elastic = (*place).limit(low, high);
             *place = elastic;
+            stiffest = stiffest + element.elastance;
+            voltage = voltage + element.elastance * elastic;
+            fitted += 1;
         }
-        (self.slipping, self.known) = (elements.len(), elements.len());
+        self.fitted = Fitted { elements: fitted, stiffest, voltage, slip, elastic };
+        false
     }
 
-    /// Second half: the line is that of the new elements. Returns by how much the voltage is another one at the charge of
+    /// From origins to elastic charges, where they are not: all are then, and the next model may come before this one has taken over.
+    #[inline(always)]
+    fn all_elastic(&mut self, charge: MicroCoulomb) {
+        if let Some(sticking) = self.places.get_mut(self.slipping..self.known) {
+            for place in sticking {
+                *place = charge - *place;
+            }
+        }
+        if let Some(relaxed) = self.places.get_mut(self.known..) {
+            crate::math::fill(relaxed, MicroCoulomb::ZERO);
+        }
+        (self.slipping, self.known) = (MAX_MAXWELL, MAX_MAXWELL);
+    }
+
+    /// The rest of it: the line is that of the new elements. Returns by how much the voltage is another one at the charge of
     /// [`HysteresisState::carry`].
     #[cold]
     #[inline(never)]
@@ -154,33 +224,27 @@ impl HysteresisState {
     pub fn take_over(&mut self, elements: &[Maxwell]) -> Volt {
         let Some([_, charge]) = self.carried.take() else { return Volt::ZERO };
         let old = (self.slope * charge + self.offset).narrow();
-        let (mut slope, mut sum) = (Gain::ZERO, Wide::ZERO);
-        for (place, element) in self.places.iter_mut().zip(elements) {
-            slope = slope + element.elastance;
-            sum = sum + element.elastance * *place;
-            *place = charge - *place;
+        let Fitted { stiffest, voltage, .. } = self.fitted;
+        let (mut slope, mut slipping) = (stiffest, 0);
+        // Those at their limits, which are the first ones, slip; all others stick.
+        for (place, element) in self.places.iter().zip(elements) {
+            if (place.to_bits().wrapping_add(self.falling)) ^ self.falling != element.slip.to_bits()
+            {
+                break;
+            }
+            slope = slope - element.elastance;
+            slipping += 1;
         }
-        // All elastances times their origins, which are the charge less what is elastic.
-        self.all_stick(elements, charge, slope, sum - slope * charge);
-        (self.slope * charge + self.offset).narrow() - old
-    }
-
-    /// All elements stick, and `places` are their origins; those that may not slip again.
-    #[cold]
-    #[inline(never)]
-    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
-    fn all_stick(
-        &mut self,
-        elements: &[Maxwell],
-        charge: MicroCoulomb,
-        slope: Gain<MicroCoulomb, Volt>,
-        offset: Wide<Volt>,
-    ) {
-        (self.slope, self.stiffest, self.offset) = (slope, slope, offset);
+        if let Some(sticking) = self.places.get_mut(slipping..elements.len()) {
+            for place in sticking {
+                *place = charge - *place;
+            }
+        }
+        (self.slope, self.stiffest, self.offset) = (slope, stiffest, voltage - slope * charge);
         self.last = self.mirrored(charge);
-        self.slipping = 0;
-        self.known = elements.len();
-        self.slip(elements);
+        (self.slipping, self.known) = (slipping, elements.len());
+        self.find_end(elements);
+        voltage.narrow() - old
     }
 
     /// Moves the charge and returns the hysteresis voltage.
@@ -205,7 +269,7 @@ impl HysteresisState {
             return;
         }
         if self.mirrored(charge) < self.last {
-            self.turn();
+            self.turn(elements);
         }
         self.last = self.mirrored(charge);
         self.slip(elements);
@@ -216,7 +280,7 @@ impl HysteresisState {
     /// An element that slips adds its elastance times its elastic charge to the offset; once it sticks it takes off its elastance
     /// times its origin, which is the charge less that. Together: the elastances that the slope gets back, times the charge.
     #[inline(always)]
-    fn turn(&mut self) {
+    fn turn(&mut self, elements: &[Maxwell]) {
         let charge = self.unmirrored(self.last);
         self.falling = !self.falling;
         for place in self.places.iter_mut().take(self.slipping) {
@@ -225,11 +289,15 @@ impl HysteresisState {
         self.offset = self.offset - (self.stiffest - self.slope) * charge;
         self.slope = self.stiffest;
         self.slipping = 0;
+        self.find_end(elements);
     }
 
     /// All elements slip whose time has come; finds the charge at which the next one does.
     #[inline(always)]
     fn slip(&mut self, elements: &[Maxwell]) {
+        if self.last <= self.end {
+            return;
+        }
         let (Some(places), Some(elements)) =
             (self.places.get_mut(self.slipping..), elements.get(self.slipping..))
         else {
@@ -330,7 +398,7 @@ mod tests {
         state.carry(at(5.0));
         let carried = state.step(&three, at(5.0)).to_f64();
         assert!((carried - before).abs() < 1e-5, "{carried}");
-        state.fit(&two);
+        while !state.fit(&two) {}
         let moved = state.take_over(&two).to_f64();
         let after = state.step(&two, at(5.0)).to_f64();
         assert!((after - before - moved).abs() < 1e-5, "{moved}");

@@ -206,19 +206,20 @@ impl Axis {
         self.record(config, out);
     }
 
-    /// The slip elements of a new model of the stack take over, in two ticks. What they change fades with the step that the new
-    /// configuration would have made; of that step's fading six ticks are over at most, all of it where a transition of no time was
-    /// asked for, and then the slew limit alone softens both.
+    /// The slip elements of a new model of the stack take over, a few a tick. Whether all have: what that changes fades with the step that
+    /// the new configuration would have made, of which nothing fades before.
     #[cold]
     #[inline(never)]
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
-    pub(super) fn take_over(&mut self, config: &AxisConfig, is_first: bool) {
+    pub(super) fn take_over(&mut self, config: &AxisConfig) -> bool {
         // An axis at rest has to find out what its drive is now.
         self.trajectory.wake();
-        if is_first {
-            config.feedforward.fit(&mut self.feedforward);
-        } else {
-            self.bump = self.bump - config.feedforward.take_over(&mut self.feedforward);
+        match config.feedforward.take_over(&mut self.feedforward) {
+            Some(change) => {
+                self.bump = self.bump - change;
+                true
+            }
+            None => false,
         }
     }
 

@@ -183,25 +183,20 @@ impl Bank {
         let tick = self.tick % BLOCK_TICKS;
         self.tick = tick + 1;
         let [factors @ .., values] = &mut self.parts;
-        let value = values.get(tick).copied().unwrap_or(0);
+        let (early, late) = values.split_at_mut(PAIRS);
         let Some(pair) = tick.checked_sub(PAIRS) else {
             self.tones.step(tick);
-            return value;
+            return early.get(tick).copied().unwrap_or(0);
         };
         let (factors, _) = factors.as_chunks::<2>();
-        if let Some(factors) = factors.get(pair) {
-            put(values, pair, around(factors, &self.tones));
-        }
-        value
-    }
-}
-
-/// The values of a pair to their places in a block.
-#[inline(always)]
-fn put(values: &mut Part, pair: usize, [before, after]: [i32; 2]) {
-    let (early, late) = values.split_at_mut(PAIRS);
-    if let (Some(early), Some(late)) = (early.get_mut(PAIRS - 1 - pair), late.get_mut(pair)) {
-        (*early, *late) = (before, after);
+        let (Some(factors), Some(early), Some(late)) =
+            (factors.get(pair), early.get_mut(PAIRS - 1 - pair), late.get_mut(pair))
+        else {
+            return 0;
+        };
+        let [before, after] = around(factors, &self.tones);
+        *early = before;
+        core::mem::replace(late, after)
     }
 }
 
@@ -325,7 +320,12 @@ impl Generator {
         let mut values = [0; BLOCK_TICKS];
         for pair in 0..PAIRS {
             let factors = [self.factors(pair, 1), self.factors(pair, 0)];
-            put(&mut values, pair, around(&factors, &tones));
+            let [before, after] = around(&factors, &tones);
+            let (early, late) = values.split_at_mut(PAIRS);
+            if let (Some(early), Some(late)) = (early.get_mut(PAIRS - 1 - pair), late.get_mut(pair))
+            {
+                (*early, *late) = (before, after);
+            }
         }
         values
     }
