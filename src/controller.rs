@@ -15,6 +15,9 @@ use crate::{AXES, creep};
 mod axis;
 use axis::{Axis, Shared};
 
+/// Ticks for which slip elements that take over wait while others slip.
+const TAKEOVER_PATIENCE: u32 = 2;
+
 /// State of the controller. Holds no configuration. `M` is where its multisines are: within it, or, where that is too much to be
 /// moved, elsewhere.
 #[derive(Clone, Debug)]
@@ -35,6 +38,8 @@ pub struct Controller<M = [Multisines; AXES]> {
     creep_clock: u32,
     /// Axes whose slip elements have taken over the newest model: the first ones.
     taken_over: usize,
+    /// Ticks for which the others have waited.
+    waited: u32,
     /// The loop closes at this tick: memories start from the present.
     closing: bool,
     parked: bool,
@@ -71,6 +76,7 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
             bump_step: 0,
             creep_clock: 0,
             taken_over: AXES,
+            waited: 0,
             closing: false,
             parked: false,
         }
@@ -348,9 +354,8 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
         }
         // The tick of a change holds the drives, whatever the new configuration wants.
         if !rebase || closing {
-            if self.taken_over < AXES {
-                self.take_over(config);
-            } else {
+            // Nothing fades before all that does is known.
+            if self.taken_over == AXES {
                 self.bump_weight = self.bump_weight.saturating_sub(self.bump_step);
             }
         }
@@ -393,15 +398,29 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
             b.control::<false>(of_b, &shared, out_b);
             shared.next();
             c.control::<false>(of_c, &shared, out_c);
+            if self.taken_over < AXES {
+                self.take_over(config);
+            }
         }
+        let [a, b, c] = &self.axes;
         a.limits.with(b.limits).with(c.limits)
     }
 
     /// In the ticks after a change of configuration the slip elements take over, a few of one axis a tick: all of them in the tick of
-    /// the change would cost as much again as two thirds of a tick.
+    /// the change would cost as much again as two thirds of a tick. They wait while those of other axes slip, but not for long.
     #[cold]
-    #[inline(always)]
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
     fn take_over(&mut self, config: &Config) {
+        let mut is_busy = false;
+        for axis in &mut self.axes {
+            is_busy |= axis.was_busy();
+        }
+        if is_busy && self.waited < TAKEOVER_PATIENCE {
+            self.waited += 1;
+            return;
+        }
+        self.waited = 0;
         let k = self.taken_over;
         if let (Some(axis), Some(settings)) = (self.axes.get_mut(k), config.axes.get(k))
             && axis.take_over(settings)

@@ -46,6 +46,8 @@ pub struct HysteresisState {
     /// the same instant.
     carried: Option<[MicroCoulomb; 2]>,
     fitted: Fitted,
+    /// It turned, or elements slipped, since this was last asked.
+    followed: bool,
 }
 
 /// What of the new elements' line is known, while they are fitted.
@@ -53,21 +55,27 @@ pub struct HysteresisState {
 struct Fitted {
     /// Elements that are fitted: the first ones.
     elements: usize,
-    /// Sum of their elastances, and their voltage.
+    /// Of these, the first ones that are at their limits, and slip.
+    slipping: usize,
+    /// Sum of the elastances of those that stick, and of all.
+    slope: Gain<MicroCoulomb, Volt>,
     stiffest: Gain<MicroCoulomb, Volt>,
+    /// Of all of them.
     voltage: Wide<Volt>,
     /// Limit and elastic charge of the last one.
     slip: i32,
-    elastic: MicroCoulomb,
+    elastic: i32,
 }
 
 impl Fitted {
     const NONE: Self = Self {
         elements: 0,
+        slipping: 0,
+        slope: Gain::ZERO,
         stiffest: Gain::ZERO,
         voltage: Wide::ZERO,
         slip: 0,
-        elastic: MicroCoulomb::ZERO,
+        elastic: 0,
     };
 }
 
@@ -88,6 +96,7 @@ impl HysteresisState {
         known: 0,
         carried: None,
         fitted: Fitted::NONE,
+        followed: false,
     };
 
     /// As [`HysteresisState::RELAXED`], in place.
@@ -107,6 +116,12 @@ impl HysteresisState {
     #[inline(always)]
     pub const fn is_carried(&self) -> bool {
         self.carried.is_some()
+    }
+
+    /// Whether it turned, or elements slipped, since this was last asked.
+    #[inline(always)]
+    pub fn has_followed(&mut self) -> bool {
+        core::mem::take(&mut self.followed)
     }
 
     /// The bits of a charge, all inverted while it falls: the order of charges is then the other way round, and nothing can
@@ -157,25 +172,39 @@ impl HysteresisState {
     pub fn carry(&mut self, charge: MicroCoulomb) {
         let (before, from) = match self.carried {
             None => (self.unmirrored(self.last), self.unmirrored(self.last)),
-            Some([before, from]) => (before, from),
+            Some([before, from]) => {
+                self.forget_fitted(from);
+                (before, from)
+            }
         };
         self.offset = self.offset + self.slope * from - self.slope * charge;
         self.carried = Some([before, charge]);
         self.fitted = Fitted::NONE;
     }
 
+    /// The next model comes before this one has taken over: what is fitted is elastic charges again.
+    #[inline(always)]
+    fn forget_fitted(&mut self, charge: MicroCoulomb) {
+        let Fitted { elements, slipping, .. } = self.fitted;
+        if let Some(sticking) = self.places.get_mut(slipping..elements) {
+            for place in sticking {
+                *place = charge - *place;
+            }
+        }
+        self.slipping = self.slipping.max(elements);
+        self.known = self.known.max(elements);
+    }
+
     /// A part of taking over: the next elements of the new model stand as far from the charge as those of the old one did when
     /// [`HysteresisState::carry`] was called, as far as they may. Whether all did already: then [`HysteresisState::take_over`] comes.
     ///
-    /// Few at a time, and for one axis a tick: all of them would cost a tick more than all the rest that it does.
+    /// Few at a time, and of one axis a tick: all of them would cost as much again as two thirds of a tick.
     #[cold]
     #[inline(never)]
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
     pub fn fit(&mut self, elements: &[Maxwell]) -> bool {
-        let (Some([before, _]), first) = (self.carried, self.fitted.elements) else { return true };
-        if first == 0 {
-            self.all_elastic(before);
-        }
+        let Some([before, charge]) = self.carried else { return true };
+        let first = self.fitted.elements;
         let (Some(places), Some(next)) = (self.places.get_mut(first..), elements.get(first..))
         else {
             return true;
@@ -183,37 +212,39 @@ impl HysteresisState {
         if next.is_empty() {
             return true;
         }
-        let Fitted { mut elastic, mut slip, mut stiffest, mut voltage, .. } = self.fitted;
-        let mut fitted = first;
+        let mut fitted = self.fitted;
         for (place, element) in places.iter_mut().zip(next).take(FIT_AT_ONCE) {
+            let n = fitted.elements;
+            let old = if n < self.slipping {
+                *place
+            } else if n < self.known {
+                before - *place
+            } else {
+                MicroCoulomb::ZERO
+            };
             // New limits may be narrower, or wider apart than the order of slipping allows.
-            let room = element.slip.to_bits().wrapping_sub(slip);
-            slip = element.slip.to_bits();
+            let slip = element.slip.to_bits();
+            let room = slip.wrapping_sub(fitted.slip);
             // Sums of two numbers within +-500 uC do not wrap.
-            let low = MicroCoulomb::from_bits(elastic.to_bits().wrapping_sub(room));
-            let high = MicroCoulomb::from_bits(elastic.to_bits().wrapping_add(room));
-            elastic = (*place).limit(low, high);
-            *place = elastic;
-            stiffest = stiffest + element.elastance;
-            voltage = voltage + element.elastance * elastic;
-            fitted += 1;
+            let low = MicroCoulomb::from_bits(fitted.elastic.wrapping_sub(room));
+            let high = MicroCoulomb::from_bits(fitted.elastic.wrapping_add(room));
+            let elastic = old.limit(low, high);
+            fitted.stiffest = fitted.stiffest + element.elastance;
+            fitted.voltage = fitted.voltage + element.elastance * elastic;
+            // Those at their limits in the direction of the motion, which are the first ones, slip; all others stick.
+            let ahead = (elastic.to_bits() ^ self.falling).wrapping_sub(self.falling);
+            *place = if n == fitted.slipping && ahead == slip {
+                fitted.slipping += 1;
+                elastic
+            } else {
+                fitted.slope = fitted.slope + element.elastance;
+                charge - elastic
+            };
+            (fitted.slip, fitted.elastic) = (slip, elastic.to_bits());
+            fitted.elements += 1;
         }
-        self.fitted = Fitted { elements: fitted, stiffest, voltage, slip, elastic };
+        self.fitted = fitted;
         false
-    }
-
-    /// From origins to elastic charges, where they are not: all are then, and the next model may come before this one has taken over.
-    #[inline(always)]
-    fn all_elastic(&mut self, charge: MicroCoulomb) {
-        if let Some(sticking) = self.places.get_mut(self.slipping..self.known) {
-            for place in sticking {
-                *place = charge - *place;
-            }
-        }
-        if let Some(relaxed) = self.places.get_mut(self.known..) {
-            crate::math::fill(relaxed, MicroCoulomb::ZERO);
-        }
-        (self.slipping, self.known) = (MAX_MAXWELL, MAX_MAXWELL);
     }
 
     /// The rest of it: the line is that of the new elements. Returns by how much the voltage is another one at the charge of
@@ -224,22 +255,7 @@ impl HysteresisState {
     pub fn take_over(&mut self, elements: &[Maxwell]) -> Volt {
         let Some([_, charge]) = self.carried.take() else { return Volt::ZERO };
         let old = (self.slope * charge + self.offset).narrow();
-        let Fitted { stiffest, voltage, .. } = self.fitted;
-        let (mut slope, mut slipping) = (stiffest, 0);
-        // Those at their limits, which are the first ones, slip; all others stick.
-        for (place, element) in self.places.iter().zip(elements) {
-            if (place.to_bits().wrapping_add(self.falling)) ^ self.falling != element.slip.to_bits()
-            {
-                break;
-            }
-            slope = slope - element.elastance;
-            slipping += 1;
-        }
-        if let Some(sticking) = self.places.get_mut(slipping..elements.len()) {
-            for place in sticking {
-                *place = charge - *place;
-            }
-        }
+        let Fitted { slipping, slope, stiffest, voltage, .. } = self.fitted;
         (self.slope, self.stiffest, self.offset) = (slope, stiffest, voltage - slope * charge);
         self.last = self.mirrored(charge);
         (self.slipping, self.known) = (slipping, elements.len());
@@ -269,9 +285,10 @@ impl HysteresisState {
             return;
         }
         if self.mirrored(charge) < self.last {
-            self.turn(elements);
+            self.turn();
         }
         self.last = self.mirrored(charge);
+        self.followed = true;
         self.slip(elements);
     }
 
@@ -280,7 +297,7 @@ impl HysteresisState {
     /// An element that slips adds its elastance times its elastic charge to the offset; once it sticks it takes off its elastance
     /// times its origin, which is the charge less that. Together: the elastances that the slope gets back, times the charge.
     #[inline(always)]
-    fn turn(&mut self, elements: &[Maxwell]) {
+    fn turn(&mut self) {
         let charge = self.unmirrored(self.last);
         self.falling = !self.falling;
         for place in self.places.iter_mut().take(self.slipping) {
@@ -289,27 +306,23 @@ impl HysteresisState {
         self.offset = self.offset - (self.stiffest - self.slope) * charge;
         self.slope = self.stiffest;
         self.slipping = 0;
-        self.find_end(elements);
     }
 
     /// All elements slip whose time has come; finds the charge at which the next one does.
     #[inline(always)]
     fn slip(&mut self, elements: &[Maxwell]) {
-        if self.last <= self.end {
-            return;
-        }
-        let (Some(places), Some(elements)) =
-            (self.places.get_mut(self.slipping..), elements.get(self.slipping..))
-        else {
-            return;
-        };
         let (mut slope, mut offset, mut slipping) = (self.slope, self.offset, self.slipping);
-        let (last, falling, mut end) = (self.last, self.falling, i32::MAX);
-        for (place, element) in places.iter_mut().zip(elements) {
+        let (last, falling) = (self.last, self.falling);
+        // Whether there is another one is asked of each: that takes less than to find out how many there are, as few slip at once.
+        let end = loop {
+            let (Some(place), Some(element)) =
+                (self.places.get_mut(slipping), elements.get(slipping))
+            else {
+                break i32::MAX;
+            };
             let at = (place.to_bits() ^ falling).saturating_add(element.slip.to_bits());
             if last <= at {
-                end = at;
-                break;
+                break at;
             }
             let at = MicroCoulomb::from_bits(at ^ falling);
             // Its origin no longer counts, its elastic charge does: together the charge at which it slips.
@@ -317,7 +330,7 @@ impl HysteresisState {
             slope = slope - element.elastance;
             offset = offset + element.elastance * at;
             slipping += 1;
-        }
+        };
         (self.slope, self.offset, self.slipping, self.end) = (slope, offset, slipping, end);
     }
 }

@@ -206,6 +206,12 @@ impl Axis {
         self.record(config, out);
     }
 
+    /// Whether this tick, or one before that was not asked for, had more to do than usual.
+    #[inline(always)]
+    pub(super) fn was_busy(&mut self) -> bool {
+        self.feedforward.hysteresis.has_followed()
+    }
+
     /// The slip elements of a new model of the stack take over, a few a tick. Whether all have: what that changes fades with the step that
     /// the new configuration would have made, of which nothing fades before.
     #[cold]
