@@ -348,16 +348,13 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
         let rebase = swapped || closing;
         if rebase {
             self.bump_weight = u32::MAX;
-            self.bump_step =
-                if closing { config.guard.arming_step } else { config.guard.transition_step };
-            self.taken_over = if closing { AXES } else { 0 };
+            // Nothing fades before all that does is known.
+            (self.bump_step, self.taken_over) =
+                if closing { (config.guard.arming_step, AXES) } else { (0, 0) };
         }
         // The tick of a change holds the drives, whatever the new configuration wants.
         if !rebase || closing {
-            // Nothing fades before all that does is known.
-            if self.taken_over == AXES {
-                self.bump_weight = self.bump_weight.saturating_sub(self.bump_step);
-            }
+            self.bump_weight = self.bump_weight.saturating_sub(self.bump_step);
         }
 
         if closing {
@@ -398,12 +395,12 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
             b.control::<false>(of_b, &shared, out_b);
             shared.next();
             c.control::<false>(of_c, &shared, out_c);
-            if self.taken_over < AXES {
-                self.take_over(config);
-            }
         }
-        let [a, b, c] = &self.axes;
-        a.limits.with(b.limits).with(c.limits)
+        let limits = a.limits.with(b.limits).with(c.limits);
+        if self.taken_over < AXES && !rebase {
+            self.take_over(config);
+        }
+        limits
     }
 
     /// In the ticks after a change of configuration the slip elements take over, a few of one axis a tick: all of them in the tick of
@@ -426,6 +423,9 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
             && axis.take_over(settings)
         {
             self.taken_over += 1;
+            if self.taken_over == AXES {
+                self.bump_step = config.guard.transition_step;
+            }
         }
     }
 

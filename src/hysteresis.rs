@@ -80,7 +80,7 @@ impl Fitted {
 }
 
 /// Elements that are fitted in one tick.
-const FIT_AT_ONCE: usize = 4;
+const FIT_AT_ONCE: usize = 2;
 
 impl HysteresisState {
     /// Relaxed: a stack that was never driven, or was demagnetised. [`HysteresisState::relax`] comes before the first step.
