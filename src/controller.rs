@@ -347,20 +347,18 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
         self.closing = false;
         let rebase = swapped || closing;
         if rebase {
-            self.bump_weight = u32::MAX;
-            // Nothing fades before all that does is known.
-            (self.bump_step, self.taken_over) =
-                if closing { (config.guard.arming_step, AXES) } else { (0, 0) };
-        }
-        // The tick of a change holds the drives, whatever the new configuration wants.
-        if !rebase || closing {
-            self.bump_weight = self.bump_weight.saturating_sub(self.bump_step);
-        }
-
-        if closing {
-            for axis in &mut self.axes {
-                axis.close();
+            // The tick of a change holds the drives, whatever the new configuration wants, and nothing fades before all that does is known.
+            (self.bump_weight, self.bump_step, self.taken_over) = (u32::MAX, 0, 0);
+            if closing {
+                self.bump_step = config.guard.arming_step;
+                self.bump_weight -= self.bump_step;
+                self.taken_over = AXES;
+                for axis in &mut self.axes {
+                    axis.close();
+                }
             }
+        } else {
+            self.bump_weight = self.bump_weight.saturating_sub(self.bump_step);
         }
         let mut moving = false;
         for (axis, settings) in self.axes.iter_mut().zip(&config.axes) {
@@ -389,18 +387,19 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
             b.control::<true>(of_b, &shared, out_b);
             shared.next();
             c.control::<true>(of_c, &shared, out_c);
+            a.limits.with(b.limits).with(c.limits)
         } else {
             a.control::<false>(of_a, &shared, out_a);
             shared.next();
             b.control::<false>(of_b, &shared, out_b);
             shared.next();
             c.control::<false>(of_c, &shared, out_c);
+            let limits = a.limits.with(b.limits).with(c.limits);
+            if self.taken_over < AXES {
+                self.take_over(config);
+            }
+            limits
         }
-        let limits = a.limits.with(b.limits).with(c.limits);
-        if self.taken_over < AXES && !rebase {
-            self.take_over(config);
-        }
-        limits
     }
 
     /// In the ticks after a change of configuration the slip elements take over, a few of one axis a tick: all of them in the tick of
