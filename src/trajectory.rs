@@ -188,14 +188,14 @@ impl Trajectory {
         }
         let wanted = match self.generator.shape {
             Shape::Stop => self.start,
-            shape => {
-                let target = self.waveform(table, multisine, shape);
+            _ => {
+                let target = self.waveform(table, multisine);
                 if self.blend == u32::MAX {
                     target
                 } else {
                     self.blend = self.blend.saturating_add(self.generator.blend);
                     let u = (self.blend >> 2) as i32;
-                    let s = match shape {
+                    let s = match self.generator.shape {
                         Shape::Go { ramp: true } => rounded_ramp_q30(u),
                         _ => smoothstep_q30(u),
                     };
@@ -222,23 +222,18 @@ impl Trajectory {
 
     /// centre + amplitude * w, and the accumulators moved on.
     #[inline(always)]
-    fn waveform(
-        &mut self,
-        table: Option<&Table>,
-        multisine: impl FnOnce() -> i32,
-        shape: Shape,
-    ) -> Um {
-        if let Shape::Go { .. } = shape {
+    fn waveform(&mut self, table: Option<&Table>, multisine: impl FnOnce() -> i32) -> Um {
+        if let Shape::Go { .. } = self.generator.shape {
             return self.generator.center;
         }
-        let mut w = match shape {
+        let mut w = match self.generator.shape {
             Shape::Multisine { .. } => multisine(),
             _ => self.generator.wave(table, self.phase),
         };
         self.phase = self.phase.wrapping_add((self.step >> 32) as u32);
         if self.generator.duration != 0 {
             self.age = self.age.saturating_add(1);
-            if let Shape::Sweep { growth } = shape
+            if let Shape::Sweep { growth } = self.generator.shape
                 && self.age <= self.generator.duration
             {
                 let change = ((self.step >> 32) as i64).wrapping_mul(growth as i64) >> 8;
