@@ -381,3 +381,45 @@ fn resting_changes_nothing_but_the_time_it_takes() {
         }
     }
 }
+
+/// A model that is gone before its slip elements have taken over leaves them to the one that was there before.
+#[test]
+fn a_model_that_goes_at_once_leaves_the_hysteresis_alive() {
+    let settings = Settings::default();
+    let mut other = settings.clone();
+    for axis in &mut other.axes {
+        for element in &mut axis.stack.hysteresis {
+            element.limit_v *= 1.5;
+        }
+    }
+    let (config, other) = (Config::build(&settings).unwrap(), Config::build(&other).unwrap());
+    for ticks in 1..24 {
+        let (mut swapped, mut alone) = (Bench::new(&settings, 7.52), Bench::new(&settings, 7.52));
+        let sine =
+            Generator::build(&GeneratorSettings::Sine(Wave::between(2.0, 10.0, 20.0))).unwrap();
+        for bench in [&mut swapped, &mut alone] {
+            bench.arm();
+            bench.stage(2, sine);
+            bench.controller.command(&bench.config, Command::Start { axes: 4 }).unwrap();
+            for _ in 0..3_300 {
+                bench.tick();
+            }
+        }
+        swapped.config.clone_from(&other);
+        for _ in 0..ticks {
+            swapped.tick();
+            alone.tick();
+        }
+        swapped.config.clone_from(&config);
+        let mut worst = 0.0f64;
+        for n in 0..6_000 {
+            swapped.tick();
+            alone.tick();
+            // A period after the change has faded, both remember the same turning points.
+            if n > 5_000 {
+                worst = worst.max((swapped.drive_v[2] - alone.drive_v[2]).abs());
+            }
+        }
+        assert!(worst < 0.05, "{worst} V after {ticks} ticks with the other model");
+    }
+}
