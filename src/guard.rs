@@ -24,7 +24,7 @@ pub enum Command {
         /// The waveform.
         generator: Generator,
     },
-    /// One of the parts of the waveform that was staged last, in any order, once.
+    /// The next part of the waveform that was staged last.
     StagePart {
         /// Axis, from 0.
         axis: u8,

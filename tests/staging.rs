@@ -44,16 +44,21 @@ fn an_incomplete_staging_is_refused() {
     let commands: Vec<Command> = multisine(1).staging(0).collect();
     assert_eq!(commands.len(), 1 + PARTS);
     assert_eq!(sine().staging(0).count(), 1);
+    // Each command but the last leaves it incomplete, and so does each that is left out: then its successor is refused.
     for left_out in 1..commands.len() {
         let mut bench = armed();
-        for (n, command) in commands.iter().enumerate() {
-            if n != left_out {
-                tell(&mut bench, *command).unwrap();
-                assert_eq!(tell(&mut bench, START), Err(Refusal::NothingStaged), "after {n}");
-                bench.tick();
-            }
+        for command in &commands[..left_out] {
+            tell(&mut bench, *command).unwrap();
+            assert_eq!(tell(&mut bench, START), Err(Refusal::NothingStaged));
+            bench.tick();
         }
-        tell(&mut bench, commands[left_out]).unwrap();
+        for command in &commands[left_out + 1..] {
+            assert_eq!(tell(&mut bench, *command), Err(Refusal::NothingStaged));
+        }
+        assert_eq!(tell(&mut bench, START), Err(Refusal::NothingStaged), "without {left_out}");
+        for command in &commands[left_out..] {
+            tell(&mut bench, *command).unwrap();
+        }
         tell(&mut bench, START).unwrap();
         assert_eq!(tell(&mut bench, START), Err(Refusal::NothingStaged), "it waits no longer");
     }

@@ -36,12 +36,10 @@ const TONES: usize = MAX_TONES as usize;
 pub const PART_WORDS: usize = 16;
 /// Parts of a multisine: two with the factors of each pair, and one with the values of the first block.
 pub const PARTS: usize = 2 * PAIRS + 1;
-/// A bit for each part.
-const ALL_PARTS: u32 = (1 << PARTS) - 1;
 
 /// One part.
 pub type Part = [i32; PART_WORDS];
-const _: () = assert!(PART_WORDS == BLOCK_TICKS && PART_WORDS == TONES && PARTS < 32);
+const _: () = assert!(PART_WORDS == BLOCK_TICKS && PART_WORDS == TONES && PARTS < 256);
 
 /// Phase of `multiple` times `half_ticks` / 2 ticks. The half is taken of all of it, so that no more than 2^-32 turns are lost.
 const fn phase_after(multiple: u32, step: u32, half_ticks: u32) -> u32 {
@@ -90,8 +88,8 @@ pub struct Multisines {
     banks: [Bank; 2],
     /// Which one runs: 0 or 1.
     running: usize,
-    /// Parts that the other one still lacks, a bit each.
-    missing: u32,
+    /// Parts that the other one still lacks: the last ones.
+    missing: usize,
 }
 
 impl Tones {
@@ -247,22 +245,22 @@ impl Multisines {
         {
             bank.tones.begin(generator);
             bank.tick = 0;
-            self.missing = ALL_PARTS;
+            self.missing = PARTS;
         }
         self.missing == 0
     }
 
-    /// Takes a part of the waveform that waits. Whether it is complete now, or `None` where nothing lacks this part.
+    /// Takes the next part of the waveform that waits. Whether it is complete now, or `None` where another part comes next, or none.
     #[inline(always)]
     pub(crate) fn take(&mut self, part: usize, words: &Part) -> Option<bool> {
-        let bit = 1u32.checked_shl(part as u32).unwrap_or(0);
-        let bank = self.banks.get_mut(1 - self.running % 2)?;
+        let [one, other] = &mut self.banks;
+        let bank = if self.running == 0 { other } else { one };
         let place = bank.parts.get_mut(part)?;
-        if self.missing & bit == 0 {
+        if part + self.missing != PARTS {
             return None;
         }
         crate::math::copy(place, words);
-        self.missing &= !bit;
+        self.missing -= 1;
         Some(self.missing == 0)
     }
 

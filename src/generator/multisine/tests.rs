@@ -162,7 +162,7 @@ fn it_never_leaves_its_peak() {
 }
 
 #[test]
-fn parts_are_taken_once_and_only_where_they_lack() {
+fn parts_are_taken_once_and_in_their_order() {
     let g = generator(3, 7, 16, 1.0, 7);
     let words = [0; PART_WORDS];
     let mut multisines = Multisines::NONE;
@@ -170,10 +170,10 @@ fn parts_are_taken_once_and_only_where_they_lack() {
     assert!(!multisines.stage(&g));
     assert_eq!(multisines.take(PARTS, &words), None);
     assert_eq!(multisines.take(usize::MAX, &words), None);
-    assert_eq!(multisines.take(3, &words), Some(false));
-    assert_eq!(multisines.take(3, &words), None, "once");
-    for part in (0..PARTS).rev().filter(|part| *part != 3) {
-        assert_eq!(multisines.take(part, &words), Some(part == 0));
+    assert_eq!(multisines.take(1, &words), None, "not its turn");
+    for part in 0..PARTS {
+        assert_eq!(multisines.take(part, &words), Some(part == PARTS - 1));
+        assert_eq!(multisines.take(part, &words), None, "once");
     }
     assert_eq!(multisines.take(0, &words), None, "complete");
     assert!(multisines.stage(&Generator::STOP), "another waveform has no parts");
