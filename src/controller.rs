@@ -408,11 +408,7 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
     #[inline(never)]
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
     fn take_over(&mut self, config: &Config) {
-        let mut is_busy = false;
-        for axis in &mut self.axes {
-            is_busy |= axis.was_busy();
-        }
-        if is_busy && self.waited < TAKEOVER_PATIENCE {
+        if self.is_slipping() && self.waited < TAKEOVER_PATIENCE {
             self.waited += 1;
             return;
         }
@@ -426,6 +422,20 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
                 self.bump_step = config.guard.transition_step;
             }
         }
+    }
+
+    /// Whether slip elements slipped, or turned, since this was last asked.
+    #[inline(always)]
+    fn is_slipping(&mut self) -> bool {
+        let [a, b, c] = &mut self.axes;
+        // Not `||`: each has to be asked.
+        a.was_busy() | b.was_busy() | c.was_busy()
+    }
+
+    /// Whether the last tick had more to do than usual, or the next one will have: what can wait had better do so.
+    #[inline(always)]
+    pub fn is_busy(&mut self) -> bool {
+        self.is_slipping() || self.taken_over < AXES
     }
 
     /// Tell each axis where the others will be.

@@ -44,6 +44,14 @@ pub enum Command {
     KeepAlive,
 }
 
+impl Command {
+    /// Whether it changes nothing that runs, and can therefore wait for some ticks.
+    #[inline(always)]
+    pub const fn is_staging(&self) -> bool {
+        matches!(self, Self::Stage { .. } | Self::StagePart { .. })
+    }
+}
+
 /// Why a command had no effect.
 #[derive(
     Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize, postcard_schema::Schema,

@@ -30,6 +30,8 @@ use crate::{AXES, Command, Config, Controller, Faults, Flags, Record, Refusal, S
 
 /// Orders to the tick, and answers, that may wait.
 const ORDERS: usize = 4;
+/// Ticks for which staging waits at most: less than the tasks wait for an answer.
+const STAGING_PATIENCE: u32 = 30;
 /// Ticks for which a converter may deliver nothing.
 const CONVERTER_PATIENCE: u32 = 5;
 /// Ticks without a sign of life from the tasks until the drives are returned: 250 ms, well before the watchdog bites.
@@ -68,6 +70,8 @@ struct State {
     was_late: bool,
     beat: u32,
     silent_ticks: u32,
+    /// Ticks for which a staging order has waited.
+    waited: u32,
 }
 
 /// Memory that the tick shares with start-up code or with one task.
@@ -150,6 +154,7 @@ pub fn init(config: Config, faults: Faults) -> Ends {
         was_late: false,
         beat: 0,
         silent_ticks: 0,
+        waited: 0,
     };
     // SAFETY: the interrupt that uses these is not enabled yet; everything is written before it is.
     unsafe {
@@ -210,24 +215,7 @@ unsafe fn ADC3() {
     let faults = state.look_around(missing != 0);
     state.controller.trip(faults);
     let missed = state.count_missed(entered);
-    // SAFETY: `init` made it from a queue of this length; one place always stays empty. The ends of a queue have forgotten its
-    // length: this lets indices wrap by a mask instead of a division that could be by zero.
-    unsafe { core::hint::assert_unchecked(state.orders.capacity() == ORDERS - 1) };
-    // Read where it lies: a copy of the longest would be a call.
-    if let Some(order) = state.orders.peek() {
-        match order {
-            Order::Command(command) => {
-                let tick = SHOWN.ticks.load(Ordering::Relaxed);
-                let answer = state.controller.obey(config, command).map(|()| tick);
-                // SAFETY: as above.
-                unsafe { core::hint::assert_unchecked(state.answers.capacity() == ORDERS - 1) };
-                // One command waits for its answer at a time, so there is room.
-                let _ = state.answers.enqueue(answer);
-            }
-            Order::Trip(faults) => state.controller.trip(*faults),
-        }
-        let _ = state.orders.dequeue();
-    }
+    let can_wait = state.look_at_order(config);
 
     let converters::Codes { gauge, monitor } = state.codes;
     let sample = Sample {
@@ -245,6 +233,9 @@ unsafe fn ADC3() {
     SHOWN.flags.store(record.flags.0, Ordering::Relaxed);
     // A trigger since the entry means that the outputs were written too late for it.
     state.was_late = timebase::has_triggered();
+    if can_wait {
+        state.stage_unless_busy(config);
+    }
 
     let cycles = timebase::cycles().wrapping_sub(entered);
     // SAFETY: as above.
@@ -271,6 +262,64 @@ unsafe fn TIM7_DAC() {
 }
 
 impl State {
+    /// Obeys the order that comes next, if there is one. Whether it is one that can wait for the end of the tick.
+    #[inline(always)]
+    fn look_at_order(&mut self, config: &Config) -> bool {
+        self.assume_lengths();
+        match self.orders.peek() {
+            None => false,
+            Some(Order::Command(command)) if command.is_staging() => true,
+            Some(_) => {
+                self.obey(config);
+                false
+            }
+        }
+    }
+
+    /// Staging changes nothing before the start: it is done in a tick that has little else to do, or when it has waited for long.
+    #[cold]
+    #[inline(never)]
+    #[unsafe(link_section = ".ccm.core")]
+    fn stage_unless_busy(&mut self, config: &Config) {
+        if self.controller.is_busy() && self.waited < STAGING_PATIENCE {
+            self.waited += 1;
+        } else {
+            self.waited = 0;
+            self.obey(config);
+        }
+    }
+
+    /// Obeys the order that comes next.
+    #[inline(never)]
+    #[unsafe(link_section = ".ccm.core")]
+    fn obey(&mut self, config: &Config) {
+        self.assume_lengths();
+        // Read where it lies: a copy of the longest would be a call.
+        match self.orders.peek() {
+            Some(Order::Command(command)) => {
+                let tick = SHOWN.ticks.load(Ordering::Relaxed);
+                let answer = self.controller.obey(config, command).map(|()| tick);
+                self.assume_lengths();
+                // One command waits for its answer at a time, so there is room.
+                let _ = self.answers.enqueue(answer);
+            }
+            Some(Order::Trip(faults)) => self.controller.trip(*faults),
+            None => {}
+        }
+        self.assume_lengths();
+        let _ = self.orders.dequeue();
+    }
+
+    /// The ends of a queue have forgotten its length: this lets indices wrap by a mask instead of a division that could be by zero.
+    #[inline(always)]
+    fn assume_lengths(&self) {
+        // SAFETY: `init` made them from queues of this length; one place always stays empty.
+        unsafe {
+            core::hint::assert_unchecked(self.orders.capacity() == ORDERS - 1);
+            core::hint::assert_unchecked(self.answers.capacity() == ORDERS - 1);
+        }
+    }
+
     /// Faults that the controller cannot see.
     #[inline(always)]
     fn look_around(&mut self, is_missing: bool) -> Faults {

@@ -16,8 +16,6 @@ use flexstage::{GeneratorSettings, MAX_CREEP, Settings};
 use crate::common::{armed, bench, image, settings};
 
 const ADC3: u32 = 47;
-/// Instructions of a tick in which all slip elements of all axes slip: as found.
-const SQUARES: u64 = 9_999;
 
 /// Where an instruction comes from: the outermost file below the tick that is a stage of the control core.
 fn stage(files: &[String]) -> String {
@@ -136,20 +134,10 @@ fn dearest(b: &mut Bench, what: &str, act: impl FnOnce(&mut Bench)) -> u64 {
     most
 }
 
-/// The dearest runs and what came before and after them.
+/// The dearest run and what came before and after it.
 fn print_around(runs: &[u64]) {
-    let mut order: Vec<usize> = (0..runs.len()).collect();
-    order.sort_by_key(|&n| std::cmp::Reverse(runs[n]));
-    let mut shown: Vec<usize> = Vec::new();
-    for n in order {
-        if shown.len() == 3 {
-            break;
-        }
-        if shown.iter().all(|other| other.abs_diff(n) > 12) {
-            shown.push(n);
-            let around = &runs[n.saturating_sub(8)..runs.len().min(n + 9)];
-            println!("  tick {n}: {around:?}");
-        }
+    if let Some((n, _)) = runs.iter().enumerate().max_by_key(|(_, cost)| **cost) {
+        println!("  around it: {:?}", &runs[n.saturating_sub(8)..runs.len().min(n + 9)]);
     }
 }
 
@@ -253,7 +241,7 @@ fn the_tick_fits_its_budget() {
     assert!(mean_tones <= 1_700.0, "{mean_tones} instructions with multisines");
     assert!(worst_tones <= 2_000, "{worst_tones} instructions at worst with multisines");
     // More than the budget is for.
-    assert!(squares <= SQUARES, "{squares} instructions when all slips at once");
+    assert!(squares <= 2_700, "{squares} instructions when all slips at once");
     assert!(everything <= 2_500, "{everything} instructions with everything there is");
 }
 
