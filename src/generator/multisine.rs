@@ -10,10 +10,14 @@
 //! ```
 //!
 //! What stands in brackets, the factors of a pair, never changes: it comes with the waveform. So two values take 32
-//! multiplications, where each would take a recurrence over all tones and three sines. While the second half of a block is put out, a tick computes a pair of
-//! the next block, which takes the places of two values that are out already; in its first half S and C are found: sine
-//! and cosine of two angles, a tick each, and from these those of all tones by rotation. All of it follows from the phase at the
-//! block's centre, which is a whole number of 2^-32 turns further in each block: nothing drifts, and periods are exact for ever.
+//! multiplications, where each would take a recurrence over all tones and three sines. While the second half of a block is put
+//! out, a tick computes a pair of the next block, which takes the places of two values that are out already; in its first half S and C
+//! are found: sine and cosine of two angles, a tick each, and from these those of all tones by rotation. All of it follows from the
+//! phase at the block's centre, which is a whole number of 2^-32 turns further in each block: nothing drifts, and periods are exact for
+//! ever.
+//!
+//! A waveform's factors, and the values of its first block, are 1 088 bytes: they come in [`PARTS`] commands of a bounded cost each
+//! ([`Generator::staging`]), into the one of an axis' two banks that does not run. The start exchanges the banks.
 //!
 //! # Limits
 //! Error below 1e-6 of all tones, most of it the sine's (3e-8) times the number of a tone: 10 pm at 10 um.
@@ -39,6 +43,7 @@ pub const PARTS: usize = 2 * PAIRS + 1;
 
 /// One part.
 pub type Part = [i32; PART_WORDS];
+
 const _: () = assert!(PART_WORDS == BLOCK_TICKS && PART_WORDS == TONES && PARTS < 256);
 
 /// Phase of `multiple` times `half_ticks` / 2 ticks. The half is taken of all of it, so that no more than 2^-32 turns are lost.

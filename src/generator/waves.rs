@@ -57,7 +57,8 @@ pub(super) const fn multisine_signs(seed: u32) -> u32 {
 const TONE: i32 = 1 << 20;
 
 /// Sum of the tones over 16, Q1.30: of s_k sin(a + k x) for k below `tones`, a = `first` phases, x = `stride` phases, s_k = 1 or -1 by
-/// the bits of `signs`. Error below 1e-6 of all 16: 10 pm at 10 um.
+/// the bits of `signs`. Error below 1e-6 of all 16. At any phase by itself: to find the peak, off the hot path, and to test what the tick
+/// computes sixteen ticks at a time ([`Multisines`](super::Multisines)).
 ///
 /// Clenshaw's recurrence, b_k = s_k + 2 cos(x) b_(k+1) - b_(k+2), takes one multiplication a tone instead of a sine. Near x = 0, where it
 /// would cancel, Reinsch's form of it does not: the differences d_k = b_k - b_(k+1) = d_(k+1) + s_k - 4 sin^2(x/2) b_(k+1). Near
