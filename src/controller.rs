@@ -3,8 +3,10 @@
 //! A tick is called once every 0.1 ms with the codes sampled at that instant. The DAC codes of its record are latched by
 //! the next trigger: the drive acts one period after the sample, for one period, whatever the interrupt's jitter.
 
+use core::borrow::BorrowMut;
+
 use crate::config::Config;
-use crate::generator::Table;
+use crate::generator::{Multisines, Table};
 use crate::guard::{Command, Refusal};
 use crate::record::{AxisRecord, Faults, Flags, Limits, Record, Sample, State};
 use crate::units::{Gain, Um};
@@ -13,13 +15,15 @@ use crate::{AXES, creep};
 mod axis;
 use axis::{Axis, Shared};
 
-/// Two ticks an axis.
-const TAKEOVER_TICKS: u32 = 2 * AXES as u32;
+/// Ticks for which slip elements that take over wait while others slip.
+const TAKEOVER_PATIENCE: u32 = 2;
 
-/// State of the controller. Holds no configuration.
+/// State of the controller. Holds no configuration. `M` is where its multisines are: within it, or, where that is too much to be
+/// moved, elsewhere.
 #[derive(Clone, Debug)]
-pub struct Controller {
+pub struct Controller<M = [Multisines; AXES]> {
     axes: [Axis; AXES],
+    multisines: M,
     state: State,
     faults: Faults,
     faulted_axes: u32,
@@ -32,8 +36,10 @@ pub struct Controller {
     bump_weight: u32,
     bump_step: u32,
     creep_clock: u32,
-    /// Ticks until the slip elements of all axes have taken over a new model: two an axis.
-    takeovers: u32,
+    /// Axes whose slip elements have taken over the newest model: the first ones.
+    taken_over: usize,
+    /// Ticks for which the others have waited.
+    waited: u32,
     /// The loop closes at this tick: memories start from the present.
     closing: bool,
     parked: bool,
@@ -48,8 +54,16 @@ impl Default for Controller {
 impl Controller {
     /// Off, with every drive at 0 V.
     pub const fn new() -> Self {
+        Self::with([Multisines::NONE; AXES])
+    }
+}
+
+impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
+    /// As [`Controller::new`], with room for multisines.
+    pub const fn with(multisines: M) -> Self {
         Self {
-            axes: [Axis::REST; AXES],
+            axes: [Axis::at_rest(0), Axis::at_rest(1), Axis::at_rest(2)],
+            multisines,
             state: State::Off,
             faults: Faults::NONE,
             faulted_axes: 0,
@@ -61,7 +75,8 @@ impl Controller {
             bump_weight: 0,
             bump_step: 0,
             creep_clock: 0,
-            takeovers: 0,
+            taken_over: AXES,
+            waited: 0,
             closing: false,
             parked: false,
         }
@@ -81,9 +96,15 @@ impl Controller {
     }
 
     /// Take a command; it acts from the next tick on. Call it where [`Controller::tick`] is called, before it.
+    #[inline(always)]
+    pub fn command(&mut self, config: &Config, command: Command) -> Result<(), Refusal> {
+        self.obey(config, &command)
+    }
+
+    /// As [`Controller::command`], of a command that stays where it is.
     #[inline(never)]
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
-    pub fn command(&mut self, config: &Config, command: Command) -> Result<(), Refusal> {
+    pub fn obey(&mut self, config: &Config, command: &Command) -> Result<(), Refusal> {
         self.silence = 0;
         match command {
             Command::KeepAlive => Ok(()),
@@ -109,14 +130,29 @@ impl Controller {
                 }
                 Ok(())
             }
-            Command::Stage { axis, generator } => match self.axes.get_mut(axis as usize) {
-                Some(axis) => {
-                    axis.trajectory.stage(&generator);
+            Command::Stage { axis, generator } => {
+                let (axis, multisines) = self.axis(*axis)?;
+                axis.trajectory.stage(multisines, generator);
+                Ok(())
+            }
+            Command::StagePart { axis, part, words } => {
+                let (axis, multisines) = self.axis(*axis)?;
+                if axis.trajectory.stage_part(multisines, usize::from(*part), words) {
                     Ok(())
+                } else {
+                    Err(Refusal::NothingStaged)
                 }
-                None => Err(Refusal::NoSuchAxis),
-            },
-            Command::Start { axes } => self.start(axes as u32),
+            }
+            Command::Start { axes } => self.start(u32::from(*axes)),
+        }
+    }
+
+    #[inline(always)]
+    fn axis(&mut self, axis: u8) -> Result<(&mut Axis, &mut Multisines), Refusal> {
+        let k = usize::from(axis);
+        match (self.axes.get_mut(k), self.multisines.borrow_mut().get_mut(k)) {
+            (Some(axis), Some(multisines)) => Ok((axis, multisines)),
+            _ => Err(Refusal::NoSuchAxis),
         }
     }
 
@@ -160,9 +196,9 @@ impl Controller {
             bit <<= 1;
         }
         let mut bit = 1;
-        for axis in &mut self.axes {
+        for (axis, multisines) in self.axes.iter_mut().zip(self.multisines.borrow_mut()) {
             if axes & bit != 0 {
-                axis.trajectory.start_staged();
+                axis.trajectory.start_staged(multisines);
             }
             bit <<= 1;
         }
@@ -311,23 +347,23 @@ impl Controller {
         self.closing = false;
         let rebase = swapped || closing;
         if rebase {
-            self.bump_weight = u32::MAX;
-            self.bump_step =
-                if closing { config.guard.arming_step } else { config.guard.transition_step };
-            self.takeovers = if closing { 0 } else { TAKEOVER_TICKS };
-        }
-        // The tick of a change holds the drives, whatever the new configuration wants.
-        if !rebase || closing {
-            self.bump_weight = self.bump_weight.saturating_sub(self.bump_step);
-            if self.takeovers != 0 {
-                self.take_over(config);
+            // The tick of a change holds the drives, whatever the new configuration wants, and nothing fades before all that does is known.
+            (self.bump_weight, self.bump_step, self.taken_over) = (u32::MAX, 0, 0);
+            if closing {
+                self.bump_step = config.guard.arming_step;
+                self.bump_weight -= self.bump_step;
+                self.taken_over = AXES;
+                for axis in &mut self.axes {
+                    axis.close();
+                }
             }
+        } else {
+            self.bump_weight = self.bump_weight.saturating_sub(self.bump_step);
         }
-
         let mut moving = false;
         for (axis, settings) in self.axes.iter_mut().zip(&config.axes) {
             if rebase || !axis.trajectory.is_asleep() {
-                axis.lead(settings, table, closing);
+                axis.lead(settings, table, self.multisines.borrow_mut());
                 moving |= axis.trajectory.is_moving();
             }
         }
@@ -351,27 +387,55 @@ impl Controller {
             b.control::<true>(of_b, &shared, out_b);
             shared.next();
             c.control::<true>(of_c, &shared, out_c);
+            a.limits.with(b.limits).with(c.limits)
         } else {
             a.control::<false>(of_a, &shared, out_a);
             shared.next();
             b.control::<false>(of_b, &shared, out_b);
             shared.next();
             c.control::<false>(of_c, &shared, out_c);
+            let limits = a.limits.with(b.limits).with(c.limits);
+            if self.taken_over < AXES {
+                self.take_over(config);
+            }
+            limits
         }
-        a.limits.with(b.limits).with(c.limits)
     }
 
-    /// In the ticks after a change of configuration the slip elements take over, half an axis a tick: all of them in the tick of the
-    /// change would cost as much again as two thirds of a tick.
+    /// In the ticks after a change of configuration the slip elements take over, a few of one axis a tick: all of them in the tick of
+    /// the change would cost as much again as two thirds of a tick. They wait while those of other axes slip, but not for long.
     #[cold]
-    #[inline(always)]
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
     fn take_over(&mut self, config: &Config) {
-        let done = TAKEOVER_TICKS.wrapping_sub(self.takeovers);
-        self.takeovers -= 1;
-        let k = done as usize / 2;
-        if let (Some(axis), Some(settings)) = (self.axes.get_mut(k), config.axes.get(k)) {
-            axis.take_over(settings, done.is_multiple_of(2));
+        if self.is_slipping() && self.waited < TAKEOVER_PATIENCE {
+            self.waited += 1;
+            return;
         }
+        self.waited = 0;
+        let k = self.taken_over;
+        if let (Some(axis), Some(settings)) = (self.axes.get_mut(k), config.axes.get(k))
+            && axis.take_over(settings)
+        {
+            self.taken_over += 1;
+            if self.taken_over == AXES {
+                self.bump_step = config.guard.transition_step;
+            }
+        }
+    }
+
+    /// Whether slip elements slipped, or turned, since this was last asked.
+    #[inline(always)]
+    fn is_slipping(&mut self) -> bool {
+        let [a, b, c] = &mut self.axes;
+        // Not `||`: each has to be asked.
+        a.was_busy() | b.was_busy() | c.was_busy()
+    }
+
+    /// Whether the last tick had more to do than usual, or the next one will have: what can wait had better do so.
+    #[inline(always)]
+    pub fn is_busy(&mut self) -> bool {
+        self.is_slipping() || self.taken_over < AXES
     }
 
     /// Tell each axis where the others will be.

@@ -106,7 +106,7 @@ impl Feedforward {
         if !self.maxwell.is_empty() {
             let charge =
                 (self.charge_per_um * elastic + self.charge_per_volt * transducer).narrow();
-            if rebase && state.model != self.model {
+            if rebase && (state.model != self.model || state.hysteresis.is_carried()) {
                 if state.hysteresis.is_relaxed() {
                     state.model = self.model;
                     state.hysteresis.relax(&self.maxwell, charge);
@@ -123,25 +123,21 @@ impl Feedforward {
         if self.lead.is_zero() { stack } else { stack + (self.lead * change).narrow() }
     }
 
-    /// The slip elements of a model that came into effect some ticks ago make ready to take over from the old ones.
+    /// The slip elements of a model that came into effect some ticks ago take over from the old ones, a few a tick. When all have: by
+    /// how much the drive for the motion of the tick of the change is another one.
     #[inline(always)]
-    pub(crate) fn fit(&self, state: &mut FeedforwardState) {
-        if !self.maxwell.is_empty() && state.model != self.model {
-            state.hysteresis.fit(&self.maxwell);
+    pub(crate) fn take_over(&self, state: &mut FeedforwardState) -> Option<Volt> {
+        if self.maxwell.is_empty() || !state.hysteresis.is_carried() {
+            return Some(Volt::ZERO);
         }
-    }
-
-    /// They take over. Returns by how much the drive for the motion of the tick of the change is another one.
-    #[inline(always)]
-    pub(crate) fn take_over(&self, state: &mut FeedforwardState) -> Volt {
-        if self.maxwell.is_empty() || state.model == self.model {
-            return Volt::ZERO;
+        if !state.hysteresis.fit(&self.maxwell) {
+            return None;
         }
         state.model = self.model;
         let change = state.hysteresis.take_over(&self.maxwell);
         // The amplifier's lead is for changes of the motion, not of the model.
         state.stack += change;
-        change
+        Some(change)
     }
 
     /// Drive for a motion that has not changed for some ticks, and neither has anything else: as [`Feedforward::step`] would return.

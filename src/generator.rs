@@ -3,18 +3,19 @@
 //! Every waveform is `center + amplitude * w(phase)` with w in Q1.30 and a 32-bit phase accumulator, so that periods are
 //! exact for ever. [`crate::trajectory`] starts, stops and changes them without a jump in position or velocity.
 
+use crate::guard::Command;
 use crate::math::{self, phase_of_turns, sin_q30};
 use crate::settings::{Check, SettingsError};
-use crate::units::{Um, clamp_bits, narrow};
+use crate::units::Um;
 use crate::{MAX_TONES, TICK_HZ, TICK_S};
 
+mod multisine;
 mod table;
 mod waves;
 
+pub use multisine::{BLOCK_TICKS, Multisines, PART_WORDS, PARTS, Part};
 pub use table::Table;
-use waves::{
-    clip_q30, multisine_scale, multisine_signs, multisine_sum, staircase_q30, triangle_q30,
-};
+use waves::{clip_q30, multisine_amplitude, multisine_signs, staircase_q30, triangle_q30};
 
 /// A reference waveform in physical units. Amplitudes are peak values about the centre: a 10 um stroke has amplitude 5 um.
 #[derive(
@@ -113,8 +114,7 @@ impl Wave {
     }
 }
 
-/// A multisine with random signs: phases 0 and half a turn, so that it starts and ends at its centre. (Any phases would take a sine a tone
-/// in the tick; these take one multiplication.)
+/// A multisine with random signs: phases 0 and half a turn, so that it starts and ends at its centre.
 #[derive(
     Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema,
 )]
@@ -159,13 +159,13 @@ pub(crate) enum Shape {
         steps: i32,
         steepness: i32,
     },
-    /// `scale` (Q6.25) turns sum/16 into a waveform with peak 1.
+    /// `amplitude` of a tone (Q1.30) with which the peak is 1.
     Multisine {
         first: u16,
         stride: u16,
         tones: u8,
         signs: u32,
-        scale: i32,
+        amplitude: i32,
     },
     /// Relative growth of the frequency per tick in 2^-40.
     Sweep {
@@ -301,7 +301,7 @@ impl Generator {
                         stride: m.stride,
                         tones: m.tones,
                         signs,
-                        scale: multisine_scale(m.first, m.stride, m.tones, signs, highest),
+                        amplitude: multisine_amplitude(m.first, m.stride, m.tones, signs, highest),
                     },
                     center: position("center_um", m.center_um)?,
                     amplitude: amplitude("peak_um", m.peak_um)?,
@@ -351,23 +351,24 @@ impl Generator {
         matches!(self.shape, Shape::Stop | Shape::Go { .. })
     }
 
-    /// The waveform at a phase, Q1.30.
+    /// The commands, one a tick, after which this waveform waits for its start on an axis (from 0): a multisine brings numbers that
+    /// would take a tick too long to find, and too long to copy at once.
+    pub fn staging(self, axis: u8) -> impl Iterator<Item = Command> {
+        let parts = (0..self.parts()).map(move |part| Command::StagePart {
+            axis,
+            part: part as u8,
+            words: self.part(part),
+        });
+        core::iter::once(Command::Stage { axis, generator: self }).chain(parts)
+    }
+
+    /// The waveform at a phase, Q1.30. Not a multisine's: see [`Multisines`].
     #[inline(always)]
     pub(crate) fn wave(&self, table: Option<&Table>, phase: u32) -> i32 {
         match self.shape {
             Shape::Sine | Shape::Sweep { .. } => sin_q30(phase),
-            Shape::Multisine { .. } => self.multisine(phase),
             _ => self.other_wave(table, phase),
         }
-    }
-
-    /// The dearest waveform, apart from the others: it has all registers then.
-    #[inline(never)]
-    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
-    fn multisine(&self, phase: u32) -> i32 {
-        let Shape::Multisine { first, stride, tones, signs, scale } = self.shape else { return 0 };
-        let sum = multisine_sum(phase, first, stride, tones, signs);
-        clamp_bits::<31>(narrow::<25>(sum as i64 * scale as i64))
     }
 
     /// All others; the sine then needs no memory on the stack.

@@ -3,7 +3,7 @@
 //! Conditions that may be noise for a tick are counted over consecutive ticks. A fault is latched, brings all axes into
 //! [`State::Fault`](crate::State::Fault) and returns their drives at a fixed slow rate to the safe voltage: a stack is never stepped.
 
-use crate::generator::Generator;
+use crate::generator::{Generator, Part};
 use crate::record::Faults;
 use crate::units::{Quantity, Um, Volt};
 
@@ -16,12 +16,22 @@ pub enum Command {
     Disarm,
     /// Bring every reference to rest and hold it.
     Hold,
-    /// Keep a waveform for one axis (from 0) until it is started.
+    /// Keep a waveform for one axis (from 0) until it is started. A multisine is staged once its parts have come too:
+    /// [`Generator::staging`] yields all commands that it takes.
     Stage {
         /// Axis, from 0.
         axis: u8,
         /// The waveform.
         generator: Generator,
+    },
+    /// The next part of the waveform that was staged last.
+    StagePart {
+        /// Axis, from 0.
+        axis: u8,
+        /// Which part, below [`PARTS`](crate::generator::PARTS).
+        part: u8,
+        /// What it holds.
+        words: Part,
     },
     /// Start the staged waveforms of these axes (bit 0 = axis 0), all at the same tick.
     Start {
@@ -32,6 +42,14 @@ pub enum Command {
     ClearFaults,
     /// Nothing, but the command timeout starts anew.
     KeepAlive,
+}
+
+impl Command {
+    /// Whether it changes nothing that runs, and can therefore wait for some ticks.
+    #[inline(always)]
+    pub const fn is_staging(&self) -> bool {
+        matches!(self, Self::Stage { .. } | Self::StagePart { .. })
+    }
 }
 
 /// Why a command had no effect.

@@ -10,6 +10,10 @@
 //! relaxed state on, for e_i = q - b_i, and no motion breaks it). So the state is the line, the charge where it
 //! ends, and the number of elements that slip; a turning point makes these stick again. In integers this is the
 //! clamp of every element in every tick, to the bit.
+//!
+//! Where the model changes in motion, its elements have to be found anew from those of the old one. That takes several ticks, a few
+//! elements each, in which the voltage goes on along its line: [`HysteresisState::carry`], [`HysteresisState::fit`] until it says that all
+//! are, [`HysteresisState::take_over`].
 
 use crate::MAX_MAXWELL;
 use crate::units::{Gain, MicroCoulomb, Volt, Wide};
@@ -45,7 +49,42 @@ pub struct HysteresisState {
     /// Between [`HysteresisState::carry`] and [`HysteresisState::take_over`]: the charges of the old and of the new model at one and
     /// the same instant.
     carried: Option<[MicroCoulomb; 2]>,
+    fitted: Fitted,
+    /// It turned, or elements slipped, since this was last asked.
+    followed: bool,
 }
+
+/// What of the new elements' line is known, while they are fitted.
+#[derive(Clone, Copy, Debug)]
+struct Fitted {
+    /// Elements that are fitted: the first ones.
+    elements: usize,
+    /// Of these, the first ones that are at their limits, and slip.
+    slipping: usize,
+    /// Sum of the elastances of those that stick, and of all.
+    slope: Gain<MicroCoulomb, Volt>,
+    stiffest: Gain<MicroCoulomb, Volt>,
+    /// Of all of them.
+    voltage: Wide<Volt>,
+    /// Limit and elastic charge of the last one.
+    slip: i32,
+    elastic: i32,
+}
+
+impl Fitted {
+    const NONE: Self = Self {
+        elements: 0,
+        slipping: 0,
+        slope: Gain::ZERO,
+        stiffest: Gain::ZERO,
+        voltage: Wide::ZERO,
+        slip: 0,
+        elastic: 0,
+    };
+}
+
+/// Elements that are fitted in one tick.
+const FIT_AT_ONCE: usize = 2;
 
 impl HysteresisState {
     /// Relaxed: a stack that was never driven, or was demagnetised. [`HysteresisState::relax`] comes before the first step.
@@ -60,6 +99,8 @@ impl HysteresisState {
         places: [MicroCoulomb::ZERO; MAX_MAXWELL],
         known: 0,
         carried: None,
+        fitted: Fitted::NONE,
+        followed: false,
     };
 
     /// As [`HysteresisState::RELAXED`], in place.
@@ -73,6 +114,18 @@ impl HysteresisState {
     #[inline(always)]
     pub const fn is_relaxed(&self) -> bool {
         self.known == 0
+    }
+
+    /// Whether new elements have not taken over yet.
+    #[inline(always)]
+    pub const fn is_carried(&self) -> bool {
+        self.carried.is_some()
+    }
+
+    /// Whether it turned, or elements slipped, since this was last asked.
+    #[inline(always)]
+    pub fn has_followed(&mut self) -> bool {
+        core::mem::take(&mut self.followed)
     }
 
     /// The bits of a charge, all inverted while it falls: the order of charges is then the other way round, and nothing can
@@ -98,7 +151,21 @@ impl HysteresisState {
             *place = charge;
             slope = slope + element.elastance;
         }
-        self.all_stick(elements, charge, slope, Wide::ZERO - slope * charge);
+        (self.slope, self.stiffest, self.offset) = (slope, slope, Wide::ZERO - slope * charge);
+        self.last = self.mirrored(charge);
+        (self.slipping, self.known) = (0, elements.len());
+        self.find_end(elements);
+    }
+
+    /// The charge at which the next element slips.
+    #[inline(always)]
+    fn find_end(&mut self, elements: &[Maxwell]) {
+        self.end = match (self.places.get(self.slipping), elements.get(self.slipping)) {
+            (Some(place), Some(element)) => {
+                self.mirrored(*place).saturating_add(element.slip.to_bits())
+            }
+            _ => i32::MAX,
+        };
     }
 
     /// The model has changed, and with it the charge of the present instant: until [`HysteresisState::take_over`] the voltage goes on
@@ -109,44 +176,82 @@ impl HysteresisState {
     pub fn carry(&mut self, charge: MicroCoulomb) {
         let (before, from) = match self.carried {
             None => (self.unmirrored(self.last), self.unmirrored(self.last)),
-            Some([before, from]) => (before, from),
+            Some([before, from]) => {
+                self.forget_fitted(from);
+                (before, from)
+            }
         };
         self.offset = self.offset + self.slope * from - self.slope * charge;
         self.carried = Some([before, charge]);
+        self.fitted = Fitted::NONE;
     }
 
-    /// First half of taking over: the elements of the new model stand as far from the charge as those of the old one did when
-    /// [`HysteresisState::carry`] was called, as far as they may. Until [`HysteresisState::take_over`], `places` are all elastic charges.
+    /// The next model comes before this one has taken over: what is fitted is elastic charges again.
+    #[inline(always)]
+    fn forget_fitted(&mut self, charge: MicroCoulomb) {
+        let Fitted { elements, slipping, .. } = self.fitted;
+        if let Some(sticking) = self.places.get_mut(slipping..elements) {
+            for place in sticking {
+                *place = charge - *place;
+            }
+        }
+        self.slipping = self.slipping.max(elements);
+        self.known = self.known.max(elements);
+    }
+
+    /// A part of taking over: the next elements of the new model stand as far from the charge as those of the old one did when
+    /// [`HysteresisState::carry`] was called, as far as they may. Whether all did already: then [`HysteresisState::take_over`] comes.
     ///
-    /// Both halves visit all elements: the controller does one of them for one axis a tick.
+    /// Few at a time, and of one axis a tick: all of them would cost as much again as two thirds of a tick.
     #[cold]
     #[inline(never)]
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
-    pub fn fit(&mut self, elements: &[Maxwell]) {
-        let Some([before, _]) = self.carried else { return };
-        if let Some(sticking) = self.places.get_mut(self.slipping..self.known) {
-            for place in sticking {
-                *place = before - *place;
-            }
+    pub fn fit(&mut self, elements: &[Maxwell]) -> bool {
+        let Some([before, charge]) = self.carried else { return true };
+        let first = self.fitted.elements;
+        let (Some(places), Some(next)) = (self.places.get_mut(first..), elements.get(first..))
+        else {
+            return true;
+        };
+        if next.is_empty() {
+            return true;
         }
-        if let Some(new) = self.places.get_mut(self.known..elements.len()) {
-            crate::math::fill(new, MicroCoulomb::ZERO);
-        }
-        let (mut elastic, mut slip) = (MicroCoulomb::ZERO, 0);
-        for (place, element) in self.places.iter_mut().zip(elements) {
+        let mut fitted = self.fitted;
+        for (place, element) in places.iter_mut().zip(next).take(FIT_AT_ONCE) {
+            let n = fitted.elements;
+            let old = if n < self.slipping {
+                *place
+            } else if n < self.known {
+                before - *place
+            } else {
+                MicroCoulomb::ZERO
+            };
             // New limits may be narrower, or wider apart than the order of slipping allows.
-            let room = element.slip.to_bits().wrapping_sub(slip);
-            slip = element.slip.to_bits();
+            let slip = element.slip.to_bits();
+            let room = slip.wrapping_sub(fitted.slip);
             // Sums of two numbers within +-500 uC do not wrap.
-            let low = MicroCoulomb::from_bits(elastic.to_bits().wrapping_sub(room));
-            let high = MicroCoulomb::from_bits(elastic.to_bits().wrapping_add(room));
-            elastic = (*place).limit(low, high);
-            *place = elastic;
+            let low = MicroCoulomb::from_bits(fitted.elastic.wrapping_sub(room));
+            let high = MicroCoulomb::from_bits(fitted.elastic.wrapping_add(room));
+            let elastic = old.limit(low, high);
+            fitted.stiffest = fitted.stiffest + element.elastance;
+            fitted.voltage = fitted.voltage + element.elastance * elastic;
+            // Those at their limits in the direction of the motion, which are the first ones, slip; all others stick.
+            let ahead = (elastic.to_bits() ^ self.falling).wrapping_sub(self.falling);
+            *place = if n == fitted.slipping && ahead == slip {
+                fitted.slipping += 1;
+                elastic
+            } else {
+                fitted.slope = fitted.slope + element.elastance;
+                charge - elastic
+            };
+            (fitted.slip, fitted.elastic) = (slip, elastic.to_bits());
+            fitted.elements += 1;
         }
-        (self.slipping, self.known) = (elements.len(), elements.len());
+        self.fitted = fitted;
+        false
     }
 
-    /// Second half: the line is that of the new elements. Returns by how much the voltage is another one at the charge of
+    /// The rest of it: the line is that of the new elements. Returns by how much the voltage is another one at the charge of
     /// [`HysteresisState::carry`].
     #[cold]
     #[inline(never)]
@@ -154,33 +259,12 @@ impl HysteresisState {
     pub fn take_over(&mut self, elements: &[Maxwell]) -> Volt {
         let Some([_, charge]) = self.carried.take() else { return Volt::ZERO };
         let old = (self.slope * charge + self.offset).narrow();
-        let (mut slope, mut sum) = (Gain::ZERO, Wide::ZERO);
-        for (place, element) in self.places.iter_mut().zip(elements) {
-            slope = slope + element.elastance;
-            sum = sum + element.elastance * *place;
-            *place = charge - *place;
-        }
-        // All elastances times their origins, which are the charge less what is elastic.
-        self.all_stick(elements, charge, slope, sum - slope * charge);
-        (self.slope * charge + self.offset).narrow() - old
-    }
-
-    /// All elements stick, and `places` are their origins; those that may not slip again.
-    #[cold]
-    #[inline(never)]
-    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
-    fn all_stick(
-        &mut self,
-        elements: &[Maxwell],
-        charge: MicroCoulomb,
-        slope: Gain<MicroCoulomb, Volt>,
-        offset: Wide<Volt>,
-    ) {
-        (self.slope, self.stiffest, self.offset) = (slope, slope, offset);
+        let Fitted { slipping, slope, stiffest, voltage, .. } = self.fitted;
+        (self.slope, self.stiffest, self.offset) = (slope, stiffest, voltage - slope * charge);
         self.last = self.mirrored(charge);
-        self.slipping = 0;
-        self.known = elements.len();
-        self.slip(elements);
+        (self.slipping, self.known) = (slipping, elements.len());
+        self.find_end(elements);
+        voltage.narrow() - old
     }
 
     /// Moves the charge and returns the hysteresis voltage.
@@ -208,6 +292,7 @@ impl HysteresisState {
             self.turn();
         }
         self.last = self.mirrored(charge);
+        self.followed = true;
         self.slip(elements);
     }
 
@@ -230,18 +315,18 @@ impl HysteresisState {
     /// All elements slip whose time has come; finds the charge at which the next one does.
     #[inline(always)]
     fn slip(&mut self, elements: &[Maxwell]) {
-        let (Some(places), Some(elements)) =
-            (self.places.get_mut(self.slipping..), elements.get(self.slipping..))
-        else {
-            return;
-        };
         let (mut slope, mut offset, mut slipping) = (self.slope, self.offset, self.slipping);
-        let (last, falling, mut end) = (self.last, self.falling, i32::MAX);
-        for (place, element) in places.iter_mut().zip(elements) {
+        let (last, falling) = (self.last, self.falling);
+        // Whether there is another one is asked of each: that takes less than to find out how many there are, as few slip at once.
+        let end = loop {
+            let (Some(place), Some(element)) =
+                (self.places.get_mut(slipping), elements.get(slipping))
+            else {
+                break i32::MAX;
+            };
             let at = (place.to_bits() ^ falling).saturating_add(element.slip.to_bits());
             if last <= at {
-                end = at;
-                break;
+                break at;
             }
             let at = MicroCoulomb::from_bits(at ^ falling);
             // Its origin no longer counts, its elastic charge does: together the charge at which it slips.
@@ -249,95 +334,10 @@ impl HysteresisState {
             slope = slope - element.elastance;
             offset = offset + element.elastance * at;
             slipping += 1;
-        }
+        };
         (self.slope, self.offset, self.slipping, self.end) = (slope, offset, slipping, end);
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use std::vec::Vec;
-
-    /// The model as the paper writes it: every element in every tick.
-    struct Plain {
-        elastic: Vec<MicroCoulomb>,
-        charge: MicroCoulomb,
-    }
-
-    impl Plain {
-        fn step(&mut self, elements: &[Maxwell], charge: MicroCoulomb) -> Volt {
-            let change = charge - self.charge;
-            self.charge = charge;
-            let mut sum = Wide::ZERO;
-            for (elastic, element) in self.elastic.iter_mut().zip(elements) {
-                *elastic = (*elastic + change).limit(-element.slip, element.slip);
-                sum = sum + element.elastance * *elastic;
-            }
-            sum.narrow()
-        }
-    }
-
-    fn random(seed: &mut u64) -> u32 {
-        *seed ^= *seed << 13;
-        *seed ^= *seed >> 7;
-        *seed ^= *seed << 17;
-        (*seed >> 20) as u32
-    }
-
-    #[test]
-    fn a_line_until_the_next_slip_is_the_clamp_of_every_element() {
-        let mut seed = 0x1234_5678_9abc_def1;
-        for round in 0..200 {
-            let mut elements: Vec<Maxwell> = (0..random(&mut seed) % 17)
-                .map(|_| Maxwell {
-                    elastance: Gain::from_f32((random(&mut seed) % 1000) as f32 * 1e-3),
-                    slip: MicroCoulomb::from_bits((random(&mut seed) % 40_000_000) as i32),
-                })
-                .collect();
-            elements.sort_by_key(|e| e.slip);
-            let mut plain =
-                Plain { elastic: std::vec![MicroCoulomb::ZERO; 16], charge: MicroCoulomb::ZERO };
-            let mut state = HysteresisState::RELAXED;
-            state.relax(&elements, MicroCoulomb::ZERO);
-            let mut charge = 0i32;
-            for n in 0..5_000 {
-                // Strides from a standstill to jumps over all elements.
-                let most = 1u32 << (random(&mut seed) % 27);
-                let stride = (random(&mut seed) % most) as i32 - (most / 2) as i32;
-                charge = (charge + stride).clamp(-400_000_000, 400_000_000);
-                let q = MicroCoulomb::from_bits(charge);
-                let (fast, slow) = (state.step(&elements, q), plain.step(&elements, q));
-                assert_eq!(fast, slow, "round {round}, tick {n}");
-            }
-        }
-    }
-
-    #[test]
-    fn other_elements_take_over_where_the_old_ones_stood() {
-        let element = |slip_uc: f32| Maxwell {
-            elastance: Gain::from_f32(0.03),
-            slip: MicroCoulomb::from_f32(slip_uc),
-        };
-        let (three, two) =
-            ([element(1.0), element(2.0), element(4.0)], [element(1.0), element(3.0)]);
-        let mut state = HysteresisState::RELAXED;
-        let at = MicroCoulomb::from_f32;
-        state.relax(&three, at(0.0));
-        let before = state.step(&three, at(3.0)).to_f64();
-        assert!((before - 0.03 * (1.0 + 2.0 + 3.0)).abs() < 1e-5);
-        // Another charge for the same position, one element less.
-        state.carry(at(5.0));
-        let carried = state.step(&three, at(5.0)).to_f64();
-        assert!((carried - before).abs() < 1e-5, "{carried}");
-        state.fit(&two);
-        let moved = state.take_over(&two).to_f64();
-        let after = state.step(&two, at(5.0)).to_f64();
-        assert!((after - before - moved).abs() < 1e-5, "{moved}");
-        assert!((after - 0.03 * (1.0 + 2.0)).abs() < 1e-5, "{after}");
-        let on = state.step(&two, at(5.5)).to_f64();
-        assert!((on - 0.03 * (1.0 + 2.5)).abs() < 1e-5, "{on}");
-        let back = state.step(&two, at(4.5)).to_f64();
-        assert!((back - 0.03 * (0.0 + 1.5)).abs() < 1e-5, "{back}");
-    }
-}
+mod tests;

@@ -141,6 +141,17 @@ pub(crate) fn fill<T: Copy>(places: &mut [T], value: T) {
     }
 }
 
+/// Copies words, four at a time, for the reason given at [`fill`]: more at once would be a call to `memcpy`.
+#[inline(always)]
+pub(crate) fn copy<const N: usize>(to: &mut [i32; N], from: &[i32; N]) {
+    const { assert!(N.is_multiple_of(4)) };
+    let ((to, _), (from, _)) = (to.as_chunks_mut::<4>(), from.as_chunks::<4>());
+    for (to, from) in to.iter_mut().zip(from) {
+        *to = *from;
+        core::sync::atomic::compiler_fence(core::sync::atomic::Ordering::SeqCst);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -10,7 +10,9 @@
 //! n + 2, the record and the feedback get the position at n. All derivatives are differences of the same samples, so they
 //! belong to the motion that is actually commanded, limits and blends included.
 
-use crate::generator::{Generator, Shape, Table};
+use core::sync::atomic::{Ordering, compiler_fence};
+
+use crate::generator::{Generator, Multisines, Part, Shape, Table};
 use crate::math::{ONE_Q30, mul_q30, rounded_ramp_q30, smoothstep_q30};
 use crate::units::{Um, UmPer2Ticks, UmPer4Ticks2, clamp_bits, narrow};
 
@@ -93,23 +95,40 @@ impl Trajectory {
         }
     }
 
-    /// Keep a waveform for [`Trajectory::start_staged`].
+    /// Keep a waveform for [`Trajectory::start_staged`]. A multisine waits once its parts have come too.
     #[inline(always)]
-    pub fn stage(&mut self, generator: &Generator) {
+    pub fn stage(&mut self, multisines: &mut Multisines, generator: &Generator) {
         self.staged = *generator;
-        self.is_staged = true;
+        // Where it is read again before it is copied, the copy is one without the first byte, and a call.
+        compiler_fence(Ordering::SeqCst);
+        self.is_staged = multisines.stage(&self.staged);
     }
-    /// Whether a waveform waits.
+    /// Keep a part of the multisine that was staged last. Whether it lacked this part.
+    #[inline(always)]
+    pub fn stage_part(&mut self, multisines: &mut Multisines, part: usize, words: &Part) -> bool {
+        match multisines.take(part, words) {
+            Some(is_complete) => {
+                self.is_staged = is_complete;
+                true
+            }
+            None => false,
+        }
+    }
+    /// Whether a waveform waits, with all of its parts.
     #[inline(always)]
     pub const fn is_staged(&self) -> bool {
         self.is_staged
     }
     /// Begin the staged waveform, if there is one.
-    #[inline(always)]
-    pub fn start_staged(&mut self) {
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
+    pub fn start_staged(&mut self, multisines: &mut Multisines) {
         if self.is_staged {
             self.is_staged = false;
             self.generator = self.staged;
+            if matches!(self.generator.shape, Shape::Multisine { .. }) {
+                multisines.start();
+            }
             self.join();
         }
     }
@@ -152,9 +171,15 @@ impl Trajectory {
         self.still = 0;
     }
 
-    /// One tick: returns the motion at n + 2.
+    /// One tick: returns the motion at n + 2. `multisine`: the next value of the multisine that runs.
     #[inline(always)]
-    pub fn step(&mut self, table: Option<&Table>, low: Um, high: Um) -> Motion {
+    pub fn step(
+        &mut self,
+        table: Option<&Table>,
+        multisine: impl FnOnce() -> i32,
+        low: Um,
+        high: Um,
+    ) -> Motion {
         if self.coast != 0 {
             // Arithmetic shift rounds down; the nudge makes negative velocities end at zero too.
             let loss = self.coast >> COAST_SHIFT;
@@ -163,14 +188,14 @@ impl Trajectory {
         }
         let wanted = match self.generator.shape {
             Shape::Stop => self.start,
-            shape => {
-                let target = self.waveform(table, shape);
+            _ => {
+                let target = self.waveform(table, multisine);
                 if self.blend == u32::MAX {
                     target
                 } else {
                     self.blend = self.blend.saturating_add(self.generator.blend);
                     let u = (self.blend >> 2) as i32;
-                    let s = match shape {
+                    let s = match self.generator.shape {
                         Shape::Go { ramp: true } => rounded_ramp_q30(u),
                         _ => smoothstep_q30(u),
                     };
@@ -197,15 +222,18 @@ impl Trajectory {
 
     /// centre + amplitude * w, and the accumulators moved on.
     #[inline(always)]
-    fn waveform(&mut self, table: Option<&Table>, shape: Shape) -> Um {
-        if let Shape::Go { .. } = shape {
+    fn waveform(&mut self, table: Option<&Table>, multisine: impl FnOnce() -> i32) -> Um {
+        if let Shape::Go { .. } = self.generator.shape {
             return self.generator.center;
         }
-        let mut w = self.generator.wave(table, self.phase);
+        let mut w = match self.generator.shape {
+            Shape::Multisine { .. } => multisine(),
+            _ => self.generator.wave(table, self.phase),
+        };
         self.phase = self.phase.wrapping_add((self.step >> 32) as u32);
         if self.generator.duration != 0 {
             self.age = self.age.saturating_add(1);
-            if let Shape::Sweep { growth } = shape
+            if let Shape::Sweep { growth } = self.generator.shape
                 && self.age <= self.generator.duration
             {
                 let change = ((self.step >> 32) as i64).wrapping_mul(growth as i64) >> 8;

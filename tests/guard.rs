@@ -33,7 +33,7 @@ fn go_to(bench: &mut Bench, position_um: f32) {
     let generator =
         Generator::build(&GeneratorSettings::Hold { position_um, blend_s: 0.1 }).unwrap();
     for axis in 0..3 {
-        bench.controller.command(&bench.config, Command::Stage { axis, generator }).unwrap();
+        bench.stage(axis, generator);
     }
     bench.controller.command(&bench.config, Command::Start { axes: 7 }).unwrap();
 }

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Bench, cases, settings, wave};
-use flexstage::generator::{GeneratorSettings, Multisine, Wave};
+use flexstage::generator::{GeneratorSettings, Multisine, PART_WORDS, Wave};
 use flexstage::{
     AXES, Command, Config, Controller, Faults, Generator, Sample, Settings, State, Table,
 };
@@ -56,17 +56,16 @@ fn generator() -> impl Strategy<Value = GeneratorSettings> {
 #[derive(Clone, Debug)]
 enum Event {
     Command(Command),
+    Stage { axis: u8, generator: Generator },
     Swap(Box<Settings>),
     Trip,
     Nothing,
 }
 
 fn event() -> impl Strategy<Value = Event> {
-    let staged =
-        (0u8..4, generator()).prop_filter_map("a waveform that can be built", |(axis, g)| {
-            Generator::build(&g)
-                .ok()
-                .map(|generator| Event::Command(Command::Stage { axis, generator }))
+    let staged = (0u8..4, generator())
+        .prop_filter_map("a waveform that can be built", |(axis, g)| {
+            Generator::build(&g).ok().map(|generator| Event::Stage { axis, generator })
         });
     prop_oneof![
         3 => Just(Event::Command(Command::Arm)),
@@ -75,6 +74,8 @@ fn event() -> impl Strategy<Value = Event> {
         2 => Just(Event::Command(Command::ClearFaults)),
         4 => (0u8..9).prop_map(|axes| Event::Command(Command::Start { axes })),
         6 => staged,
+        1 => (0u8..4, any::<u8>(), any::<[i32; PART_WORDS]>())
+            .prop_map(|(axis, part, words)| Event::Command(Command::StagePart { axis, part, words })),
         2 => settings().prop_map(|s| Event::Swap(Box::new(s))),
         1 => Just(Event::Trip),
         2 => Just(Event::Nothing),
@@ -112,6 +113,11 @@ proptest! {
         for (event, codes, ticks) in story {
             match event {
                 Event::Command(command) => { let _ = controller.command(&config, command); }
+                Event::Stage { axis, generator } => {
+                    for command in generator.staging(axis) {
+                        let _ = controller.command(&config, command);
+                    }
+                }
                 Event::Swap(settings) => {
                     config = Config::build(&settings).unwrap();
                     slews = settings.axes.clone().map(|a| f64::from(a.limits.slew_v_per_ms) * 0.1);
@@ -161,7 +167,7 @@ proptest! {
                 _ => GeneratorSettings::Stop,
             };
             let generator = Generator::build(&slow).unwrap();
-            bench.controller.command(&bench.config, Command::Stage { axis: 0, generator }).unwrap();
+            bench.stage(0, generator);
             bench.controller.command(&bench.config, Command::Start { axes: 1 }).unwrap();
             for _ in 0..ticks {
                 let now = bench.tick().axes[0].reference.to_f64();
@@ -193,7 +199,7 @@ fn every_fault_returns_softly_to_the_safe_voltage() {
         let generator =
             Generator::build(&GeneratorSettings::Hold { position_um: 8.0, blend_s: 0.1 }).unwrap();
         for axis in 0..3 {
-            bench.controller.command(&bench.config, Command::Stage { axis, generator }).unwrap();
+            bench.stage(axis, generator);
         }
         bench.controller.command(&bench.config, Command::Start { axes: 7 }).unwrap();
         for _ in 0..3_000 {
@@ -258,7 +264,7 @@ fn the_integral_does_not_wind_up() {
     bench.arm();
     let go = |bench: &mut Bench, position_um: f32| {
         let g = Generator::build(&GeneratorSettings::Hold { position_um, blend_s: 0.05 }).unwrap();
-        bench.controller.command(&bench.config, Command::Stage { axis: 0, generator: g }).unwrap();
+        bench.stage(0, g);
         bench.controller.command(&bench.config, Command::Start { axes: 1 }).unwrap();
     };
     go(&mut bench, 8.0);
@@ -284,7 +290,7 @@ fn a_new_configuration_makes_no_step() {
     let mut bench = Bench::new(&settings, 7.0);
     bench.arm();
     let sine = Generator::build(&GeneratorSettings::Sine(Wave::between(2.0, 10.0, 5.0))).unwrap();
-    bench.controller.command(&bench.config, Command::Stage { axis: 0, generator: sine }).unwrap();
+    bench.stage(0, sine);
     bench.controller.command(&bench.config, Command::Start { axes: 1 }).unwrap();
     let mut largest = [0.0f64; 2];
     let mut before = bench.drive_v[0];
@@ -326,7 +332,7 @@ fn a_step_of_the_setpoint_does_not_kick_the_derivative() {
     let mut bench = Bench::new(&settings, 7.52);
     bench.arm();
     let g = Generator::build(&GeneratorSettings::Hold { position_um: 5.0, blend_s: 0.05 }).unwrap();
-    bench.controller.command(&bench.config, Command::Stage { axis: 0, generator: g }).unwrap();
+    bench.stage(0, g);
     bench.controller.command(&bench.config, Command::Start { axes: 1 }).unwrap();
     let mut before = bench.drive_v[0];
     let mut largest = 0.0f64;
@@ -363,7 +369,7 @@ fn resting_changes_nothing_but_the_time_it_takes() {
         let generator = Generator::build(settings).unwrap();
         for bench in &mut benches {
             let axis = (n % 2) as u8;
-            bench.controller.command(&bench.config, Command::Stage { axis, generator }).unwrap();
+            bench.stage(axis, generator);
             let start = Command::Start { axes: 1 << axis };
             bench.controller.command(&bench.config, start).unwrap();
             bench.disturbance_um = 0.01 * n as f64;
@@ -373,5 +379,47 @@ fn resting_changes_nothing_but_the_time_it_takes() {
             assert_eq!(a.axes, b.axes, "story {n}, tick {tick}");
             assert_eq!(a.flags, b.flags, "story {n}, tick {tick}");
         }
+    }
+}
+
+/// A model that is gone before its slip elements have taken over leaves them to the one that was there before.
+#[test]
+fn a_model_that_goes_at_once_leaves_the_hysteresis_alive() {
+    let settings = Settings::default();
+    let mut other = settings.clone();
+    for axis in &mut other.axes {
+        for element in &mut axis.stack.hysteresis {
+            element.limit_v *= 1.5;
+        }
+    }
+    let (config, other) = (Config::build(&settings).unwrap(), Config::build(&other).unwrap());
+    for ticks in 1..24 {
+        let (mut swapped, mut alone) = (Bench::new(&settings, 7.52), Bench::new(&settings, 7.52));
+        let sine =
+            Generator::build(&GeneratorSettings::Sine(Wave::between(2.0, 10.0, 20.0))).unwrap();
+        for bench in [&mut swapped, &mut alone] {
+            bench.arm();
+            bench.stage(2, sine);
+            bench.controller.command(&bench.config, Command::Start { axes: 4 }).unwrap();
+            for _ in 0..3_300 {
+                bench.tick();
+            }
+        }
+        swapped.config.clone_from(&other);
+        for _ in 0..ticks {
+            swapped.tick();
+            alone.tick();
+        }
+        swapped.config.clone_from(&config);
+        let mut worst = 0.0f64;
+        for n in 0..6_000 {
+            swapped.tick();
+            alone.tick();
+            // A period after the change has faded, both remember the same turning points.
+            if n > 5_000 {
+                worst = worst.max((swapped.drive_v[2] - alone.drive_v[2]).abs());
+            }
+        }
+        assert!(worst < 0.05, "{worst} V after {ticks} ticks with the other model");
     }
 }

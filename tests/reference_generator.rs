@@ -26,7 +26,7 @@ fn references(settings: &GeneratorSettings, table: &Table) -> (f64, Vec<f64>) {
     bench.table = table.clone();
     bench.arm();
     let generator = Generator::build(settings).unwrap();
-    bench.controller.command(&bench.config, Command::Stage { axis: 0, generator }).unwrap();
+    bench.stage(0, generator);
     bench.controller.command(&bench.config, Command::Start { axes: 1 }).unwrap();
     let mut reference = || bench.tick().axes[0].reference.to_f64();
     let start = (0..AHEAD).map(|_| reference()).last().unwrap();

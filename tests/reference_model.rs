@@ -192,10 +192,7 @@ fn difference(axis: &AxisSettings, cross_n_per_m: [f32; 2], sine: Wave, wobble_u
             for (axis, ratio) in [(0, 1.0), (1, 0.7), (2, 0.4)] {
                 let wave = Wave { frequency_hz: ratio * sine.frequency_hz, ..sine };
                 let generator = Generator::build(&GeneratorSettings::Sine(wave)).unwrap();
-                bench
-                    .controller
-                    .command(&bench.config, Command::Stage { axis, generator })
-                    .unwrap();
+                bench.stage(axis, generator);
             }
             bench.controller.command(&bench.config, Command::Start { axes: 7 }).unwrap();
         }

@@ -265,7 +265,9 @@ impl ClosedLoop {
         let mut axes = 0;
         for (axis, settings) in waveforms {
             let generator = Generator::build(settings)?;
-            self.command(Command::Stage { axis: *axis, generator })?;
+            for command in generator.staging(*axis) {
+                self.command(command)?;
+            }
             axes |= 1 << axis;
         }
         Ok(self.command(Command::Start { axes })?)

@@ -20,15 +20,18 @@ use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, Ordering};
 
 use embassy_stm32::interrupt;
 use heapless::spsc::{Consumer, Producer, Queue};
-use static_cell::StaticCell;
+use static_cell::{ConstStaticCell, StaticCell};
 
 use super::timebase::TICK_CYCLES;
 use super::{converters, crash, outputs, records, timebase};
+use crate::generator::Multisines;
 use crate::link::message::{HISTOGRAM_BIN_CYCLES, HISTOGRAM_BINS};
 use crate::{AXES, Command, Config, Controller, Faults, Flags, Record, Refusal, Sample, Table};
 
 /// Orders to the tick, and answers, that may wait.
 const ORDERS: usize = 4;
+/// Ticks for which staging waits at most: less than the tasks wait for an answer.
+const STAGING_PATIENCE: u32 = 30;
 /// Ticks for which a converter may deliver nothing.
 const CONVERTER_PATIENCE: u32 = 5;
 /// Ticks without a sign of life from the tasks until the drives are returned: 250 ms, well before the watchdog bites.
@@ -57,7 +60,7 @@ pub struct Ends {
 }
 
 struct State {
-    controller: Controller,
+    controller: Controller<&'static mut [Multisines; AXES]>,
     records: records::Producer,
     orders: Consumer<'static, Order>,
     answers: Producer<'static, Answer>,
@@ -67,6 +70,8 @@ struct State {
     was_late: bool,
     beat: u32,
     silent_ticks: u32,
+    /// Ticks for which a staging order has waited.
+    waited: u32,
 }
 
 /// Memory that the tick shares with start-up code or with one task.
@@ -84,6 +89,9 @@ impl<T> Shared<T> {
 }
 
 static STATE: Shared<State> = Shared::new();
+/// Half as large as the stack, so never moved; all zero, so not in flash.
+static MULTISINES: ConstStaticCell<[Multisines; AXES]> =
+    ConstStaticCell::new([Multisines::NONE; AXES]);
 static CONFIGS: [Shared<Config>; 2] = [Shared::new(), Shared::new()];
 #[unsafe(link_section = ".ccm_bss")]
 static TABLE: Shared<Table> = Shared::new();
@@ -133,7 +141,7 @@ pub fn init(config: Config, faults: Faults) -> Ends {
     let (records_in, records) = unsafe { records::split() };
     let (orders, orders_out) = ORDER_QUEUE.init_with(Queue::new).split();
     let (answers_in, answers) = ANSWER_QUEUE.init_with(Queue::new).split();
-    let mut controller = Controller::new();
+    let mut controller = Controller::with(MULTISINES.take());
     controller.trip(faults);
     let state = State {
         controller,
@@ -146,6 +154,7 @@ pub fn init(config: Config, faults: Faults) -> Ends {
         was_late: false,
         beat: 0,
         silent_ticks: 0,
+        waited: 0,
     };
     // SAFETY: the interrupt that uses these is not enabled yet; everything is written before it is.
     unsafe {
@@ -206,21 +215,7 @@ unsafe fn ADC3() {
     let faults = state.look_around(missing != 0);
     state.controller.trip(faults);
     let missed = state.count_missed(entered);
-    // SAFETY: `init` made it from a queue of this length; one place always stays empty. The ends of a queue have forgotten its
-    // length: this lets indices wrap by a mask instead of a division that could be by zero.
-    unsafe { core::hint::assert_unchecked(state.orders.capacity() == ORDERS - 1) };
-    match state.orders.dequeue() {
-        Some(Order::Command(command)) => {
-            let tick = SHOWN.ticks.load(Ordering::Relaxed);
-            let answer = state.controller.command(config, command).map(|()| tick);
-            // SAFETY: as above.
-            unsafe { core::hint::assert_unchecked(state.answers.capacity() == ORDERS - 1) };
-            // One command waits for its answer at a time, so there is room.
-            let _ = state.answers.enqueue(answer);
-        }
-        Some(Order::Trip(faults)) => state.controller.trip(faults),
-        None => {}
-    }
+    let can_wait = state.look_at_order(config);
 
     let converters::Codes { gauge, monitor } = state.codes;
     let sample = Sample {
@@ -238,6 +233,9 @@ unsafe fn ADC3() {
     SHOWN.flags.store(record.flags.0, Ordering::Relaxed);
     // A trigger since the entry means that the outputs were written too late for it.
     state.was_late = timebase::has_triggered();
+    if can_wait {
+        state.stage_unless_busy(config);
+    }
 
     let cycles = timebase::cycles().wrapping_sub(entered);
     // SAFETY: as above.
@@ -264,6 +262,64 @@ unsafe fn TIM7_DAC() {
 }
 
 impl State {
+    /// Obeys the order that comes next, if there is one. Whether it is one that can wait for the end of the tick.
+    #[inline(always)]
+    fn look_at_order(&mut self, config: &Config) -> bool {
+        self.assume_lengths();
+        match self.orders.peek() {
+            None => false,
+            Some(Order::Command(command)) if command.is_staging() => true,
+            Some(_) => {
+                self.obey(config);
+                false
+            }
+        }
+    }
+
+    /// Staging changes nothing before the start: it is done in a tick that has little else to do, or when it has waited for long.
+    #[cold]
+    #[inline(never)]
+    #[unsafe(link_section = ".ccm.core")]
+    fn stage_unless_busy(&mut self, config: &Config) {
+        if self.controller.is_busy() && self.waited < STAGING_PATIENCE {
+            self.waited += 1;
+        } else {
+            self.waited = 0;
+            self.obey(config);
+        }
+    }
+
+    /// Obeys the order that comes next.
+    #[inline(never)]
+    #[unsafe(link_section = ".ccm.core")]
+    fn obey(&mut self, config: &Config) {
+        self.assume_lengths();
+        // Read where it lies: a copy of the longest would be a call.
+        match self.orders.peek() {
+            Some(Order::Command(command)) => {
+                let tick = SHOWN.ticks.load(Ordering::Relaxed);
+                let answer = self.controller.obey(config, command).map(|()| tick);
+                self.assume_lengths();
+                // One command waits for its answer at a time, so there is room.
+                let _ = self.answers.enqueue(answer);
+            }
+            Some(Order::Trip(faults)) => self.controller.trip(*faults),
+            None => {}
+        }
+        self.assume_lengths();
+        let _ = self.orders.dequeue();
+    }
+
+    /// The ends of a queue have forgotten its length: this lets indices wrap by a mask instead of a division that could be by zero.
+    #[inline(always)]
+    fn assume_lengths(&self) {
+        // SAFETY: `init` made them from queues of this length; one place always stays empty.
+        unsafe {
+            core::hint::assert_unchecked(self.orders.capacity() == ORDERS - 1);
+            core::hint::assert_unchecked(self.answers.capacity() == ORDERS - 1);
+        }
+    }
+
     /// Faults that the controller cannot see.
     #[inline(always)]
     fn look_around(&mut self, is_missing: bool) -> Faults {

@@ -49,7 +49,7 @@ type Driver = usb::Driver<'static, USB>;
 /// Bytes of a stream frame.
 const FRAME_BYTES: usize = 1_024;
 /// Frames between pump and writer.
-pub const FRAMES_IN_RING: usize = 44;
+pub const FRAMES_IN_RING: usize = 36;
 /// What the ring holds of a packed recording (35 samples a frame), ms.
 pub const RING_MS: usize = FRAMES_IN_RING * 35 / 10;
 /// Vendor request by which Windows asks for the Microsoft OS descriptors.

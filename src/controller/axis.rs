@@ -4,19 +4,21 @@
 //! tick: each then has all registers for the pointers and sums that it needs. Inlined, a third of the tick's instructions moved them to
 //! the stack and back.
 
-use crate::MAX_CREEP;
 use crate::config::{AxisConfig, GuardConfig};
 use crate::feedback::FeedbackState;
 use crate::feedforward::FeedforwardState;
-use crate::generator::Table;
+use crate::generator::{Multisines, Table};
 use crate::guard::{Seen, WatchState};
 use crate::record::{AxisRecord, Faults, Limits};
 use crate::trajectory::{Motion, Trajectory};
 use crate::units::{Um, Volt};
+use crate::{AXES, MAX_CREEP};
 
 /// State of one axis.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Axis {
+    /// From 0.
+    number: usize,
     pub(super) trajectory: Trajectory,
     feedforward: FeedforwardState,
     feedback: FeedbackState,
@@ -54,21 +56,25 @@ impl Shared {
 }
 
 impl Axis {
-    pub(super) const REST: Self = Self {
-        trajectory: Trajectory::at(Um::ZERO),
-        feedforward: FeedforwardState::REST,
-        feedback: FeedbackState::REST,
-        watch: WatchState::REST,
-        motion: Motion::REST,
-        others: [Um::ZERO; 2],
-        position: Um::ZERO,
-        monitor: Volt::ZERO,
-        drive: Volt::ZERO,
-        excess: Volt::ZERO,
-        bump: Volt::ZERO,
-        dac_error: 0,
-        limits: Limits::NONE,
-    };
+    /// Nothing has happened yet.
+    pub(super) const fn at_rest(number: usize) -> Self {
+        Self {
+            number,
+            trajectory: Trajectory::at(Um::ZERO),
+            feedforward: FeedforwardState::REST,
+            feedback: FeedbackState::REST,
+            watch: WatchState::REST,
+            motion: Motion::REST,
+            others: [Um::ZERO; 2],
+            position: Um::ZERO,
+            monitor: Volt::ZERO,
+            drive: Volt::ZERO,
+            excess: Volt::ZERO,
+            bump: Volt::ZERO,
+            dac_error: 0,
+            limits: Limits::NONE,
+        }
+    }
 
     /// Takes the codes of gauge and amplifier over. Whether all is well with them; if not, [`Axis::examine`] has to follow.
     #[inline(never)]
@@ -113,18 +119,29 @@ impl Axis {
         }
     }
 
-    /// Where the reference goes. On the tick that closes the loop it starts where the stage is, and nothing is remembered.
+    /// The loop closes: the reference starts where the stage is, and nothing is remembered.
+    #[cold]
     #[inline(never)]
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
-    pub(super) fn lead(&mut self, config: &AxisConfig, table: Option<&Table>, closing: bool) {
-        if closing {
-            self.trajectory.reset(self.position);
-            self.feedforward.reset();
-            self.feedback.reset();
-            self.excess = Volt::ZERO;
-        }
+    pub(super) fn close(&mut self) {
+        self.trajectory.reset(self.position);
+        self.feedforward.reset();
+        self.feedback.reset();
+        self.excess = Volt::ZERO;
+    }
+
+    /// Where the reference goes.
+    #[inline(never)]
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
+    pub(super) fn lead(
+        &mut self,
+        config: &AxisConfig,
+        table: Option<&Table>,
+        multisines: &mut [Multisines; AXES],
+    ) {
         let [low, high] = config.travel;
-        self.motion = self.trajectory.step(table, low, high);
+        let multisine = || multisines.get_mut(self.number).map_or(0, Multisines::step);
+        self.motion = self.trajectory.step(table, multisine, low, high);
     }
 
     /// The control law: the drive, and the axis' part of the record. `REBASE`: coefficients have changed, or the loop was just closed:
@@ -189,19 +206,26 @@ impl Axis {
         self.record(config, out);
     }
 
-    /// The slip elements of a new model of the stack take over, in two ticks. What they change fades with the step that the new
-    /// configuration would have made; of that step's fading six ticks are over at most, all of it where a transition of no time was
-    /// asked for, and then the slew limit alone softens both.
+    /// Whether this tick, or one before that was not asked for, had more to do than usual.
+    #[inline(always)]
+    pub(super) fn was_busy(&mut self) -> bool {
+        self.feedforward.hysteresis.has_followed()
+    }
+
+    /// The slip elements of a new model of the stack take over, a few a tick. Whether all have: what that changes fades with the step that
+    /// the new configuration would have made, of which nothing fades before.
     #[cold]
     #[inline(never)]
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
-    pub(super) fn take_over(&mut self, config: &AxisConfig, is_first: bool) {
+    pub(super) fn take_over(&mut self, config: &AxisConfig) -> bool {
         // An axis at rest has to find out what its drive is now.
         self.trajectory.wake();
-        if is_first {
-            config.feedforward.fit(&mut self.feedforward);
-        } else {
-            self.bump = self.bump - config.feedforward.take_over(&mut self.feedforward);
+        match config.feedforward.take_over(&mut self.feedforward) {
+            Some(change) => {
+                self.bump = self.bump - change;
+                true
+            }
+            None => false,
         }
     }
 

@@ -57,7 +57,8 @@ pub(super) const fn multisine_signs(seed: u32) -> u32 {
 const TONE: i32 = 1 << 20;
 
 /// Sum of the tones over 16, Q1.30: of s_k sin(a + k x) for k below `tones`, a = `first` phases, x = `stride` phases, s_k = 1 or -1 by
-/// the bits of `signs`. Error below 1e-6 of all 16: 10 pm at 10 um.
+/// the bits of `signs`. Error below 1e-6 of all 16. At any phase by itself: to find the peak, off the hot path, and to test what the tick
+/// computes sixteen ticks at a time ([`Multisines`](super::Multisines)).
 ///
 /// Clenshaw's recurrence, b_k = s_k + 2 cos(x) b_(k+1) - b_(k+2), takes one multiplication a tone instead of a sine. Near x = 0, where it
 /// would cancel, Reinsch's form of it does not: the differences d_k = b_k - b_(k+1) = d_(k+1) + s_k - 4 sin^2(x/2) b_(k+1). Near
@@ -103,8 +104,14 @@ pub(super) fn multisine_sum(phase: u32, first: u16, stride: u16, tones: u8, sign
     high(swing, cos_q30(ahead)).wrapping_add(high(d << 6, sin_q30(back))) << 2
 }
 
-/// Q6.25 factor that brings the largest value over a period to 1 (less a fiftieth for what lies between the samples).
-pub(super) fn multisine_scale(first: u16, stride: u16, tones: u8, signs: u32, highest: u32) -> i32 {
+/// Amplitude of a tone, Q1.30, with which the largest value over a period is 1 (less a fiftieth for what lies between the samples).
+pub(super) fn multisine_amplitude(
+    first: u16,
+    stride: u16,
+    tones: u8,
+    signs: u32,
+    highest: u32,
+) -> i32 {
     let samples = 16 * highest;
     let step = u32::MAX / samples;
     let peak = (0..samples)
@@ -112,5 +119,6 @@ pub(super) fn multisine_scale(first: u16, stride: u16, tones: u8, signs: u32, hi
         .max()
         .unwrap_or(0)
         .max(1 << 20);
-    ((1u64 << 55) as f64 * 0.98 / peak as f64) as i32
+    // Of a sixteenth of the sum: 30 bits of the peak and 30 of the amplitude, less 4.
+    (((1u64 << 56) as f64 * 0.98 / peak as f64) as i32).min(ONE_Q30)
 }

@@ -64,6 +64,8 @@ enum Next {
     Answered(usize),
     /// For the controller.
     Control(crate::Command),
+    /// Keep a waveform.
+    Stage { axis: u8, generator: Generator },
     /// Stage, stream, start.
     Probe { axis: u8, generator: Generator, fields: Fields, profile: Profile },
     /// Write to flash.
@@ -90,6 +92,10 @@ impl Session {
             Next::Answered(length) => length,
             Next::Control(command) => {
                 let result = device.control(command).await;
+                self.done(sequence, result, out)
+            }
+            Next::Stage { axis, generator } => {
+                let result = stage(device, axis, generator).await;
                 self.done(sequence, result, out)
             }
             Next::Probe { axis, generator, fields, profile } => {
@@ -224,8 +230,9 @@ impl Session {
             Command::ClearFaults => Ok(Next::Control(Control::ClearFaults)),
             Command::KeepAlive => Ok(Next::Control(Control::KeepAlive)),
             Command::Start { axes } => Ok(Next::Control(Control::Start { axes: *axes })),
-            Command::Stage { axis, generator } => build(generator)
-                .map(|generator| Next::Control(Control::Stage { axis: *axis, generator })),
+            Command::Stage { axis, generator } => {
+                build(generator).map(|generator| Next::Stage { axis: *axis, generator })
+            }
             Command::Probe { axis, generator, fields, profile } => {
                 prepare_probe(*axis, generator, *fields, *profile)
             }
@@ -341,6 +348,18 @@ fn stream_on<D: Device>(
     Ok(Reply::Streaming { tick, fields, profile, sample_bytes })
 }
 
+/// Everything that a waveform needs before its start; the tick from which it waits.
+async fn stage<D: Device>(device: &mut D, axis: u8, generator: Generator) -> Result<u32, Refusal> {
+    let mut staged = Err(Refusal::NotReady);
+    for command in generator.staging(axis) {
+        staged = device.control(command).await;
+        if staged.is_err() {
+            break;
+        }
+    }
+    staged
+}
+
 /// Stream first, excite after, so that the record holds all of the excitation; as before if the start is refused.
 async fn probe<D: Device>(
     device: &mut D,
@@ -349,7 +368,7 @@ async fn probe<D: Device>(
     fields: Fields,
     profile: Profile,
 ) -> Result<u32, Refusal> {
-    device.control(crate::Command::Stage { axis, generator }).await?;
+    stage(device, axis, generator).await?;
     let before = device.status().stream;
     device.stream(Some((fields, profile)));
     let started = device.control(crate::Command::Start { axes: 1 << axis }).await;

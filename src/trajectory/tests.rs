@@ -3,16 +3,31 @@
 use std::vec::Vec;
 
 use super::*;
+use crate::Command;
 use crate::generator::{GeneratorSettings, Multisine, Wave};
+
+fn stage(trajectory: &mut Trajectory, multisines: &mut Multisines, settings: &GeneratorSettings) {
+    for command in Generator::build(settings).unwrap().staging(0) {
+        match command {
+            Command::StagePart { part, words, .. } => {
+                assert!(trajectory.stage_part(multisines, usize::from(part), &words));
+            }
+            Command::Stage { generator, .. } => trajectory.stage(multisines, &generator),
+            other => panic!("{other:?}"),
+        }
+    }
+}
 
 /// Every position until it rests, and the largest change of velocity, um per tick and tick.
 fn run(settings: &GeneratorSettings, ticks: usize) -> (Vec<f64>, f64) {
     let mut trajectory = Trajectory::at(Um::from_f32(2.0));
-    trajectory.stage(&Generator::build(settings).unwrap());
-    trajectory.start_staged();
+    let mut multisines = Multisines::NONE;
+    stage(&mut trajectory, &mut multisines, settings);
+    trajectory.start_staged(&mut multisines);
     let (mut path, mut bend) = (Vec::new(), 0.0f64);
     for _ in 0..ticks {
-        let motion = trajectory.step(None, Um::from_f32(-100.0), Um::from_f32(100.0));
+        let motion =
+            trajectory.step(None, || multisines.step(), Um::from_f32(-100.0), Um::from_f32(100.0));
         path.push(motion.position.to_f64());
         bend = bend.max((motion.acceleration.to_f64() / 16.0).abs());
     }

@@ -3,7 +3,9 @@
 
 use flexstage::generator::Wave;
 use flexstage::settings::{AxisSettings, MaxwellSettings, NotchSettings};
-use flexstage::{AXES, Command, Config, Controller, Record, Sample, Settings, State, Table};
+use flexstage::{
+    AXES, Command, Config, Controller, Generator, Record, Sample, Settings, State, Table,
+};
 use proptest::prelude::*;
 
 /// A stage that is nothing but a gain: position = drive / `volts_per_um`, one tick late.
@@ -46,6 +48,12 @@ impl Bench {
         self.controller.command(&self.config, Command::Arm).expect("parked");
         while self.tick().flags.state() == State::Arming {}
         assert_eq!(self.controller.state(), State::Hold);
+    }
+    /// Everything that a waveform needs before its start.
+    pub fn stage(&mut self, axis: u8, generator: Generator) {
+        for command in generator.staging(axis) {
+            self.controller.command(&self.config, command).expect("staging");
+        }
     }
 }
 

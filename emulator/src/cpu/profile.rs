@@ -55,6 +55,10 @@ pub struct Profile {
     pub watched: Option<u32>,
     /// Executions of the watched exception's blocks.
     pub blocks: HashMap<(u32, u32), u64>,
+    /// When set, the instructions of every run of this exception are noted.
+    pub traced: Option<u32>,
+    /// Every run of the traced exception, in order.
+    pub runs: Vec<u64>,
 }
 
 impl Profile {
@@ -62,6 +66,7 @@ impl Profile {
     pub fn clear(&mut self) {
         self.costs.clear();
         self.blocks.clear();
+        self.runs.clear();
         self.deepest = 0;
     }
 
@@ -84,6 +89,9 @@ impl Profile {
         let own = total - run.nested.min(total);
         if let Some(outer) = self.running.last_mut() {
             outer.nested += total;
+        }
+        if self.traced == Some(exception) {
+            self.runs.push(own);
         }
         let cost = self.costs.entry(exception).or_default();
         cost.count += 1;

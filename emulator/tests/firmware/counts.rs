@@ -42,7 +42,8 @@ fn stage(files: &[String]) -> String {
         .unwrap_or_else(|| "?".into())
 }
 
-fn profile(b: &mut Bench, what: &str) -> u64 {
+/// Instructions of the dearest tick of a second, and on average.
+fn profile(b: &mut Bench, what: &str) -> (u64, f64) {
     b.machine.profile().clear();
     b.machine.profile().watched = Some(irq(ADC3));
     b.run_for(SECOND).unwrap();
@@ -106,7 +107,7 @@ fn profile(b: &mut Bench, what: &str) -> u64 {
     lines.sort_by(|a, b| b.0.total_cmp(&a.0));
     let top: Vec<String> = lines.iter().take(24).map(|(n, f)| format!("{f} {n:.0}")).collect();
     println!("  dearest lines: {}", top.join(", "));
-    cost.max
+    (cost.max, cost.mean())
 }
 
 /// Eight Maxwell elements, PD and a notch on each axis.
@@ -124,10 +125,20 @@ fn full(settings: &mut Settings) {
 /// The dearest tick while `act` goes on.
 fn dearest(b: &mut Bench, what: &str, act: impl FnOnce(&mut Bench)) -> u64 {
     b.machine.profile().clear();
+    b.machine.profile().traced = Some(irq(ADC3));
     act(b);
+    b.machine.profile().traced = None;
     let most = b.machine.profile().costs[&irq(ADC3)].max;
     println!("{what}: {most} instructions in the dearest tick");
+    print_around(&b.machine.profile().runs);
     most
+}
+
+/// The dearest run and what came before and after it.
+fn print_around(runs: &[u64]) {
+    if let Some((n, _)) = runs.iter().enumerate().max_by_key(|(_, cost)| **cost) {
+        println!("  around it: {:?}", &runs[n.saturating_sub(8)..runs.len().min(n + 9)]);
+    }
 }
 
 /// So many sets of settings, one after the other.
@@ -177,13 +188,13 @@ fn the_tick_fits_its_budget() {
     let closing = dearest(&mut b, "the loop closes", |b| {
         b.arm().unwrap();
     });
-    let hold = profile(&mut b, "holding");
+    let (hold, _) = profile(&mut b, "holding");
     let wave = |hz| GeneratorSettings::Sine(Wave::between(1.0, 9.0, hz));
     let starting = dearest(&mut b, "three sines begin", |b| {
         b.start(&[(0, wave(3.0)), (1, wave(7.0)), (2, wave(31.0))]).unwrap();
         b.run_for(50 * MILLISECOND).unwrap();
     });
-    let moving = profile(&mut b, "three sines");
+    let (moving, mean_sines) = profile(&mut b, "three sines");
     let other_gains = dearest(&mut b, "other gains while they run", |b| {
         exchange(b, &mut settings, gains);
     });
@@ -194,7 +205,12 @@ fn the_tick_fits_its_budget() {
         b.start(&[(0, multisine()), (1, multisine()), (2, multisine())]).unwrap();
         b.run_for(50 * MILLISECOND).unwrap();
     });
-    let tones = profile(&mut b, "three multisines of 16 tones");
+    let (tones, mean_tones) = profile(&mut b, "three multisines of 16 tones");
+    let tones_staging = dearest(&mut b, "staging three more while they run", |b| {
+        for axis in [0, 1, 2] {
+            b.command(&Command::Stage { axis, generator: multisine() }).unwrap();
+        }
+    });
     let tones_model = dearest(&mut b, "another model of all stacks while they run", |b| {
         exchange(b, &mut settings, model);
     });
@@ -204,13 +220,15 @@ fn the_tick_fits_its_budget() {
     });
     let sines = [hold, closing, starting, moving, other_gains, other_model];
     let worst = sines.into_iter().max().unwrap();
-    let worst_tones = starting_tones.max(tones).max(tones_model).max(disarming);
+    let tones_worst = [starting_tones, tones, tones_staging, tones_model, disarming];
+    let worst_tones = tones_worst.into_iter().max().unwrap();
+    let squares = squares(&image);
     let everything = everything(&image);
     // An upper bound in cycles at 170 MHz. Assumed: code and data in CCM, no wait states (RM0440 2.2.4); at most 2 cycles for
     // an instruction on average (loads, multiplies with 64-bit results and taken branches cost 1 to 3 on a Cortex-M4, the
     // rest 1: Cortex-M4 TRM 3.3.1), 8 for each access to a peripheral (AHB2 through the bus matrix, contended by nobody but
     // the core), 12 + 17 for entry with floating-point stacking, 10 + 17 for return, twice that for a nested entry.
-    let bound = 2 * worst.max(worst_tones).max(everything) + 40 * 8 + 2 * (29 + 27);
+    let bound = 2 * worst.max(worst_tones).max(squares).max(everything) + 40 * 8 + 2 * (29 + 27);
     println!(
         "upper bound: {bound} of {} cycles a period: {:.1} % busy",
         TICK / CYCLE,
@@ -218,11 +236,13 @@ fn the_tick_fits_its_budget() {
     );
     assert!(bound < TICK / CYCLE / 2, "less than half of the period, whatever happens");
     assert!(hold <= 1_000, "{hold} instructions holding");
+    assert!(mean_sines <= 1_456.0, "{mean_sines} instructions with three sines");
     assert!(worst <= 2_000, "{worst} instructions at worst");
-    // Sixteen tones on all three axes do not fit into 2000.
-    assert!(tones <= 2_500, "{tones} instructions with multisines");
-    assert!(worst_tones <= 2_700, "{worst_tones} instructions at worst with multisines");
-    assert!(everything <= 3_000, "{everything} instructions with everything there is");
+    assert!(mean_tones <= 1_700.0, "{mean_tones} instructions with multisines");
+    assert!(worst_tones <= 2_000, "{worst_tones} instructions at worst with multisines");
+    // More than the budget is for.
+    assert!(squares <= 2_700, "{squares} instructions when all slips at once");
+    assert!(everything <= 2_500, "{everything} instructions with everything there is");
 }
 
 /// All that the settings allow at once, which is more than the budget is for: multisines on all axes, a gauge map, coupled axes, creep,
@@ -254,6 +274,44 @@ fn everything(image: &Rc<Image>) -> u64 {
         exchange(b, &mut settings, model);
     });
     moving.max(model)
+}
+
+/// Elements that slip and turn in one tick, on all axes: squares whose edges pass all of them within a tick or two, of equal and of unequal
+/// phases, with 8 and with 16 elements.
+fn squares(image: &Rc<Image>) -> u64 {
+    let mut most = 0;
+    for (elements, slope_um_per_ms) in
+        [(8, 10.0), (8, 30.0), (8, 100.0), (16, 10.0), (16, 30.0), (16, 100.0)]
+    {
+        let mut b = bench(image, 1);
+        let mut settings = settings();
+        full(&mut settings);
+        for axis in &mut settings.axes {
+            axis.limits.following_error_um = 0.0;
+            while axis.stack.hysteresis.len() < elements {
+                let element = axis.stack.hysteresis[axis.stack.hysteresis.len() - 8].clone();
+                axis.stack.hysteresis.push(element).unwrap();
+            }
+            for (n, element) in axis.stack.hysteresis.iter_mut().enumerate() {
+                element.limit_v *= 8.0 / elements as f32 * (1.0 + 0.01 * n as f32);
+            }
+        }
+        b.command(&Command::SetSettings(settings.clone())).unwrap();
+        b.stream(Fields::RECORDING, Profile::Packed).unwrap();
+        b.arm().unwrap();
+        let square =
+            |hz| GeneratorSettings::Square { wave: Wave::between(1.0, 9.0, hz), slope_um_per_ms };
+        let what = format!("three squares of {slope_um_per_ms} um/ms, {elements} elements");
+        let moving = dearest(&mut b, &what, |b| {
+            b.start(&[(0, square(47.0)), (1, square(47.0)), (2, square(47.0))]).unwrap();
+            b.run_for(SECOND / 2).unwrap();
+        });
+        let model = dearest(&mut b, "another model of all stacks while they run", |b| {
+            exchange(b, &mut settings, model);
+        });
+        most = most.max(moving).max(model);
+    }
+    most
 }
 
 #[test]

@@ -38,6 +38,15 @@ fn a_minute_of_mixed_motion_is_bit_identical() {
         }
         s
     };
+    // Fewer slip elements, and others.
+    let with_model = {
+        let mut s = with_feedback.clone();
+        for axis in &mut s.axes {
+            axis.stack.hysteresis.truncate(5);
+            axis.stack.hysteresis.iter_mut().for_each(|element| element.limit_v *= 1.2);
+        }
+        s
+    };
     b.link.samples = Some(Vec::new());
     b.stream(Fields::RECORDING, Profile::Exact).unwrap();
     let tick = b.act(&Ask::SetSettings(settings())).unwrap();
@@ -51,7 +60,7 @@ fn a_minute_of_mixed_motion_is_bit_identical() {
         for (axis, generator) in waves {
             let generator = Generator::build(generator).unwrap();
             // Staging changes nothing until the start, so the tick of the start will do.
-            told.push((tick, Told::Control(Command::Stage { axis: *axis, generator })));
+            told.extend(generator.staging(*axis).map(|command| (tick, Told::Control(command))));
             axes |= 1 << axis;
         }
         told.push((tick, Told::Control(Command::Start { axes })));
@@ -98,11 +107,14 @@ fn a_minute_of_mixed_motion_is_bit_identical() {
     for (i, waves) in program.iter().enumerate() {
         start(&mut b, &mut told, waves);
         b.run_for(8 * SECOND).unwrap();
-        if i == 3 {
-            // A change of settings in motion.
-            let tick = b.act(&Ask::SetSettings(with_feedback.clone())).unwrap();
-            told.push((tick, Told::Settings(Box::new(with_feedback.clone()))));
-        }
+        // Changes of settings in motion.
+        let changed = match i {
+            3 => &with_feedback,
+            5 => &with_model,
+            _ => continue,
+        };
+        let tick = b.act(&Ask::SetSettings(changed.clone())).unwrap();
+        told.push((tick, Told::Settings(Box::new(changed.clone()))));
     }
     let tick = b.act(&Ask::Disarm).unwrap();
     told.push((tick, Told::Control(Command::Disarm)));
