@@ -107,13 +107,16 @@ impl Shared {
         }
     }
 
+    /// Whether they are saved is known before they show: else "Save to board" stays off for the
+    /// pictures in between.
     pub(super) fn read_settings(&self, device: &Device) -> Result<()> {
-        if let Reply::Settings(settings) = device.command(Command::ReadSettings)? {
-            *lock(&self.settings) = Some(settings);
-            self.generation.fetch_add(1, Ordering::AcqRel);
-        }
+        let settings = device.command(Command::ReadSettings)?;
         if let Reply::Status(status) = device.command(Command::Status)? {
             self.stored.store(status.is_stored, Ordering::Relaxed);
+        }
+        if let Reply::Settings(settings) = settings {
+            *lock(&self.settings) = Some(settings);
+            self.generation.fetch_add(1, Ordering::AcqRel);
         }
         Ok(())
     }
