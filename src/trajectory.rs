@@ -165,7 +165,7 @@ impl Trajectory {
         self.still == ASLEEP
     }
 
-    /// Nothing is asleep for the next [`STILL`] ticks.
+    /// Nothing is asleep for the next few ticks (`STILL`).
     #[inline(always)]
     pub fn wake(&mut self) {
         self.still = 0;
