@@ -255,7 +255,8 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             wanted.push(with(&[resistance, ("loss_exponent", 0.4)]));
         }
         "sensor-nonlinearity" => {
-            for zero_m in [0.0, far] {
+            // The line may end far beyond what was driven.
+            for zero_m in [0.0, far, 1.5 * far, 2.5 * far] {
                 for name in ["quadratic_per_m", "cubic_per_m2"] {
                     wanted.push(with(&[(name, typical(name)), ("zero_m", zero_m)]));
                 }

@@ -27,6 +27,8 @@ const ANOTHER_LAW: f64 = 0.8;
 const MUCH_LESS: f64 = 0.65;
 /// ... or this share with fewer effects.
 const AS_LITTLE: f64 = 1.1;
+/// Share of the gap that the form of a single right effect leaves.
+const FORM_OF_ONE: f64 = 0.01;
 /// Iterations of its fit.
 const ITERATIONS: usize = 12;
 
@@ -48,17 +50,24 @@ impl Search<'_> {
         if axes == 0 || plain.as_ref().is_some_and(is_closed) {
             return Ok(plain);
         }
+        // Where one effect accounts for all but its form, a loop has to do as well by itself: with company it can take on any form.
+        let is_enough =
+            |m: &Model| m.terms.len() == 1 && m.fit.cost - self.noise < FORM_OF_ONE * self.gap;
+        let enough = match &plain {
+            Some(plain) if is_enough(plain) => plain.fit.cost,
+            _ => f64::INFINITY,
+        };
         let known = self.tried.clone();
         self.tried.retain(|model| !model.key().contains(&LOOP));
         self.ranges.any_loop = true;
         let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(&alone).into_iter().unzip();
-        let effort = Effort { iterations: ITERATIONS, ..self.effort() };
+        let effort = Effort { iterations: ITERATIONS, hopeless: enough, ..self.effort() };
         let freed = self.fit_model(terms, start.concat(), effort)?;
         let noise = self.noise;
         let left = |m: &Model| (m.fit.cost - noise).max(0.0);
         let is_another_law =
             self.left_on(&freed, axes) < ANOTHER_LAW * self.left_on(&alone, axes).max(0.0);
-        let any = if is_another_law {
+        let any = if is_another_law && freed.fit.cost < enough {
             self.remember(freed);
             self.select()?
         } else {

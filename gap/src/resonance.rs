@@ -121,10 +121,10 @@ fn delays(start: &[f64]) -> Vec<Vec<f64>> {
 
 /// Lags about one that a screen found, with one pole and with two: what two take away they give back later, and from one a fit does not
 /// get there.
-fn lags(start: &[f64]) -> Vec<Vec<f64>> {
+fn lags(start: &[f64], second: [f64; 3]) -> Vec<Vec<f64>> {
     let mut lags = vec![start.to_vec()];
     for ratio in [0.5, 0.7, 1.0, 1.4, 2.0] {
-        lags.extend([0.0, 0.25, 0.5].map(|curvature| vec![ratio * start[0], curvature]));
+        lags.extend(second.map(|second| vec![ratio * start[0], second]));
     }
     lags
 }
@@ -145,7 +145,8 @@ impl Search<'_> {
             .filter_map(|place| Mode::of(name, &self.nominal.axes[place.on()]))
             .collect();
         let late = |start: &Vec<f64>| match name {
-            "sensor-bandwidth" => Some(lags(start)),
+            "sensor-bandwidth" => Some(lags(start, [0.0, 0.25, 0.5])),
+            "amplifier-bandwidth" => Some(lags(start, [0.0, 0.3, 0.8])),
             "drive-delay" => Some(delays(start)),
             _ => None,
         };

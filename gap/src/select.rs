@@ -51,7 +51,7 @@ pub(crate) const WORTH_ABSOLUTE: f64 = 60.0;
 const WORTH_OF_FIRST: f64 = 0.05;
 /// Share of the gap that the effects which a screen promised leave at most, or the others are fitted as well.
 const MOSTLY_OPEN: f64 = 0.5;
-/// Share of the gap below which no axis of a model is looked at for a better minimum.
+/// Share of the gap below which no better start is looked for.
 const CLOSED: f64 = 0.002;
 /// A plainer model may leave this much more than the best one, of what that leaves.
 const AS_LITTLE: f64 = 0.1;
@@ -341,7 +341,14 @@ impl<'a> Search<'a> {
         let mut start: Vec<f64> = known.iter().flat_map(|(_, v)| v.iter().copied()).collect();
         let mut places: Vec<Place> = gains.iter().map(|g| g.place).collect();
         let starts = gains.iter().map(|g| g.start.clone()).collect();
-        start.extend(self.tuned((known, left), effect, &places, starts)?.concat());
+        // Where another effect accounts for nearly all, no frequency that a screen missed will do better.
+        let closed = |m: &Model| m.fit.cost - self.noise < CLOSED * self.gap;
+        let starts = if known.is_empty() && self.tried.first().is_some_and(closed) {
+            starts
+        } else {
+            self.tuned((known, left), effect, &places, starts)?
+        };
+        start.extend(starts.concat());
         // An axis where no setting of the screen came near enough to gain anything starts from what suits the others best;
         // pruning takes it out again if it needs none.
         if let Some(best) = gains.iter().max_by(|a, b| a.gain.total_cmp(&b.gain))

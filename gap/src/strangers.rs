@@ -11,9 +11,9 @@ use host_sim::rig::Rig;
 
 use crate::Error;
 use crate::found::{Found, keep};
-use crate::knobs::EffectRef;
+use crate::knobs::{EffectRef, axes_seen};
 use crate::model::{Model, Term, start_terms};
-use crate::scene::{Channel, Scene, Wanted};
+use crate::scene::{Channel, Scene, Stack, Wanted};
 use crate::select::{Search, WORTH_ABSOLUTE};
 
 /// Share of the gap that causes have to leave before a stranger is looked for.
@@ -71,12 +71,13 @@ fn instead(
     }
     let fitted = |c: &Channel| !c.held_out;
     let tick = || {};
-    let left = model.fit.cost - scene.noise_on(&model.fit.stack, u32::MAX);
-    if left < WORTH_ABSOLUTE {
+    let left_on =
+        |stack: &Stack, axes: u32| scene.cost_on(stack, axes) - scene.noise_on(stack, axes);
+    if left_on(&model.fit.stack, u32::MAX) < WORTH_ABSOLUTE {
         return Ok(None);
     }
     let search = Search::new(scene, rig, &[stranger], &model.ranges, &fitted, &tick)?;
-    if left < OPEN * search.gap {
+    if left_on(&model.fit.stack, u32::MAX) < OPEN * search.gap {
         return Ok(None);
     }
     let all = model.terms.len();
@@ -99,9 +100,11 @@ fn instead(
         let gains = search.screen.test(scene, &stack, None);
         let Some((effect, gains)) = search.shortlist(&gains, &[], 1).pop() else { continue };
         let other = search.fit_terms((&others, &stack), effect, &gains)?;
-        let most = if other.terms.len() < all { 1.0 } else { CLEARLY_LESS } * left;
+        // What axes have that neither of them reaches is not for either to close.
+        let axes = reach(rig, model) | reach(rig, &other);
+        let share = if other.terms.len() < all { 1.0 } else { CLEARLY_LESS };
         let saves = model.fit.cost - other.fit.cost;
-        let is_better = other.fit.cost - search.noise < most;
+        let is_better = left_on(&other.fit.stack, axes) < share * left_on(&model.fit.stack, axes);
         let is_worth_it = other.terms.len() < all || saves > WORTH_ABSOLUTE.max(OPEN * search.gap);
         let is_best = best.as_ref().is_none_or(|best| other.fit.cost < best.fit.cost);
         if is_better && is_worth_it && is_best {
@@ -109,6 +112,12 @@ fn instead(
         }
     }
     Ok(best)
+}
+
+/// Axes that the effects of a model change, as a mask.
+fn reach(rig: &Rig, model: &Model) -> u32 {
+    let places = model.terms.iter().flat_map(|term| term.places.iter().map(move |&p| (term, p)));
+    places.fold(0, |axes, (term, place)| axes | axes_seen(rig, term.effect, place))
 }
 
 /// What a person is told of a model whose last term is a stranger that stands where the causes of these names were.

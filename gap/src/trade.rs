@@ -15,6 +15,8 @@ use crate::select::{MOST_EFFECTS, Search};
 const OFFERS: usize = 2;
 /// Share of an axis' gap that may stay without looking further.
 const CLOSED: f64 = 0.01;
+/// ... and how many times the share that stays on the axis which the effect suits best: what it leaves everywhere alike is its form.
+const ALIKE: f64 = 1.5;
 
 impl Search<'_> {
     /// `model` with places traded for other effects where that leaves clearly less.
@@ -30,6 +32,10 @@ impl Search<'_> {
                 let left = self.scene.cost_on(&best.fit.stack, 1 << axis) - noise;
                 let needed = self.worth_of_change(left);
                 if term.places.len() < 2 || !term.places.contains(&place) || left < CLOSED * gap {
+                    continue;
+                }
+                let shares = term.places.iter().map(|p| self.share_left(&best, p.on()));
+                if left < ALIKE * gap * shares.fold(f64::INFINITY, f64::min) {
                     continue;
                 }
                 let name = term.name();
@@ -67,5 +73,12 @@ impl Search<'_> {
             }
         }
         Ok(best)
+    }
+
+    /// Share of the gap of an axis that a model leaves.
+    fn share_left(&self, model: &Model, axis: usize) -> f64 {
+        let noise = self.scene.noise_on(&self.base, 1 << axis);
+        let gap = self.scene.cost_on(&self.base, 1 << axis) - noise;
+        (self.scene.cost_on(&model.fit.stack, 1 << axis) - noise) / gap.max(1.0)
     }
 }

@@ -4,7 +4,7 @@ mod common;
 
 use std::f64::consts::TAU;
 
-use common::{one_axis, rms, run, run_from, set, single, triangle, worst};
+use common::{ONE, one_axis, rms, run, run_from, set, single, triangle, worst};
 use host_sim::{Output, Place};
 
 #[test]
@@ -57,6 +57,40 @@ fn amplifier_bandwidth_scales_the_time_constant() {
     let rig = single("amplifier-bandwidth", &[("ratio", 2.0)]);
     let v = run(&rig, 1e4, 0.1, |t| if t < 0.05 { 0.0 } else { 10.0 }).monitor_v.remove(0);
     assert!((v[508] - 10.0 * (1.0 - (-1.0f64).exp())).abs() < 1e-9);
+}
+
+#[test]
+fn a_further_pole_is_a_second_exponential() {
+    let step = |rate_hz: f64, effects: &[(&str, &[(&str, f64)])]| {
+        let mut rig = one_axis();
+        for (effect, values) in effects {
+            for (parameter, value) in *values {
+                rig.set(effect, ONE, parameter, *value).unwrap();
+            }
+        }
+        run(&rig, rate_hz, 0.1, |t| if t < 0.05 { 0.0 } else { 100.0 }).monitor_v.remove(0)
+    };
+    let poles: (&str, &[(&str, f64)]) =
+        ("amplifier-bandwidth", &[("ratio", 1.5), ("further_pole", 0.4)]);
+    let first_s = 1.5 * one_axis().axes[0].amplifier.time_constant_s;
+    let second_s = 0.4 * first_s;
+    for (i, v) in step(1.0e4, &[poles]).iter().enumerate().skip(500) {
+        let t = (i - 500) as f64 * 1.0e-4;
+        let left = (first_s * (-t / first_s).exp() - second_s * (-t / second_s).exp())
+            / (first_s - second_s);
+        assert!((v - 100.0 * (1.0 - left)).abs() < 1.0e-9, "after {t} s: {v} V");
+    }
+    // Two equal ones: t e^-t.
+    let equal = step(1.0e4, &[("amplifier-bandwidth", &[("further_pole", 1.0)])]);
+    let turns = 1.0e-3 / one_axis().axes[0].amplifier.time_constant_s;
+    let expected = 100.0 * (1.0 - (1.0 + turns) * (-turns).exp());
+    assert!((equal[510] - expected).abs() < 1.0e-3, "{} V, expected {expected}", equal[510]);
+    // Behind a slew limit too, ticks of any length give the same.
+    let limited = [poles, ("amplifier-current-limit", &[("current_a", 0.2)][..])];
+    let (coarse, fine) = (step(1.0e4, &limited), step(1.0e5, &limited));
+    for (i, v) in coarse.iter().enumerate().skip(500) {
+        assert!((v - fine[10 * i]).abs() < 1.0e-9, "sample {i}: {v} V, {} V", fine[10 * i]);
+    }
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! amplifier-clipping: the output saturates inside the rails, hard or soft.
 
+use super::bend::softplus;
 use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
 use crate::stages::model::{Model, VoltageBlock};
 
@@ -39,15 +40,10 @@ struct Clip {
 impl VoltageBlock for Clip {
     fn output(&mut self, v: f64, _time_s: f64) -> f64 {
         let s = self.softness_v;
-        let low = self.max_v - s * softplus((self.max_v - v) / s);
-        let cut = self.min_v + s * softplus((low - self.min_v) / s);
+        let low = self.max_v - s * softplus((self.max_v - v) / s).0;
+        let cut = self.min_v + s * softplus((low - self.min_v) / s).0;
         v + self.share * (cut - v)
     }
-}
-
-/// `ln(1 + e^x)` without overflow.
-fn softplus(x: f64) -> f64 {
-    x.max(0.0) + (-x.abs()).exp().ln_1p()
 }
 
 impl Effect for AmplifierClipping {

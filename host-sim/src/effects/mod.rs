@@ -9,6 +9,7 @@ use std::fmt;
 
 use crate::stages::model::Model;
 
+mod bend;
 mod hum;
 
 /// An effect of the catalogue.

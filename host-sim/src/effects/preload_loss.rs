@@ -1,5 +1,6 @@
 //! preload-loss: below some displacement the stack does not push the whole mechanism.
 
+use super::bend::softplus;
 use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
 use crate::stages::model::{Force, Model};
 
@@ -31,23 +32,19 @@ struct OpenContact {
     contact_m: f64,
     softness_m: f64,
     since_zero: f64,
+    /// How far it is closed without a force.
+    closed_at_rest_m: f64,
 }
 
 impl Force for OpenContact {
     fn force(&self, x_m: f64) -> (f64, f64) {
         let s = self.softness_m;
-        let at = |x: f64| softplus((x - self.contact_m) / s);
+        let (closed, of_closed) = softplus((x_m - self.contact_m) / s);
         // How far it is open, counted from rest; and all of it, which is what closing takes.
-        let from_rest_m = x_m - s * (at(x_m) - at(0.0));
-        let open_m = from_rest_m - self.since_zero * (self.contact_m + s * at(0.0));
-        let open = 1.0 / (1.0 + ((x_m - self.contact_m) / s).exp());
-        (self.lost_n_per_m * open_m, self.lost_n_per_m * open)
+        let from_rest_m = x_m - (s * closed - self.closed_at_rest_m);
+        let open_m = from_rest_m - self.since_zero * (self.contact_m + self.closed_at_rest_m);
+        (self.lost_n_per_m * open_m, self.lost_n_per_m * (1.0 - of_closed))
     }
-}
-
-/// `ln(1 + e^x)` without overflow.
-fn softplus(x: f64) -> f64 {
-    x.max(0.0) + (-x.abs()).exp().ln_1p()
 }
 
 impl Effect for PreloadLoss {
@@ -62,6 +59,7 @@ impl Effect for PreloadLoss {
             contact_m: values[1],
             softness_m: values[2],
             since_zero: values[3],
+            closed_at_rest_m: values[2] * softplus(-values[1] / values[2]).0,
         }));
     }
 }

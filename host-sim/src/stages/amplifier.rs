@@ -1,5 +1,5 @@
-//! Amplifier of one axis: drive errors, dead time, what sits at its input, first order towards a held target, slew limit,
-//! rails, and what sits at its output. Exact between ticks; no sub-steps.
+//! Amplifier of one axis: drive errors, dead time, what sits at its input, first order towards a held target, slew limit, a further pole
+//! if it has one, rails, and what sits at its output. Exact between ticks; no sub-steps.
 
 use std::collections::VecDeque;
 
@@ -23,7 +23,46 @@ pub struct AmplifierSim {
     input: Vec<Box<dyn VoltageBlock>>,
     output: Vec<Box<dyn VoltageBlock>>,
     state_v: f64,
+    further: Option<Further>,
     plain: bool,
+}
+
+/// The pole behind the first one and its slew limit.
+struct Further {
+    time_constant_s: f64,
+    /// tau_1 / (tau_1 - tau_2): what an exponential of the first pole makes of itself behind the second.
+    mix: f64,
+    state_v: f64,
+}
+
+impl Further {
+    /// None where it is too fast to matter in a tick.
+    fn new(first_s: f64, time_constant_s: f64, step_s: f64) -> Option<Self> {
+        (time_constant_s > 1.0e-4 * step_s).then(|| {
+            // Two equal poles are the limit of two that nearly are.
+            let least_s = 1.0e-6 * first_s;
+            let is_equal = (first_s - time_constant_s).abs() < least_s;
+            let time_constant_s = if is_equal { first_s - least_s } else { time_constant_s };
+            Self { time_constant_s, mix: first_s / (first_s - time_constant_s), state_v: 0.0 }
+        })
+    }
+
+    fn decay(&self, length_s: f64) -> f64 {
+        (-length_s / self.time_constant_s).exp()
+    }
+
+    /// The first pole goes from `from_v` towards a target, of which `left` of the way is left in the end.
+    fn approach(&mut self, from_v: f64, target_v: f64, left: f64, length_s: f64) {
+        let decay = self.decay(length_s);
+        let forced = self.mix * (from_v - target_v) * (left - decay);
+        self.state_v = target_v + forced + (self.state_v - target_v) * decay;
+    }
+
+    /// The first pole goes straight from `from_v` to `to_v`.
+    fn ramp(&mut self, from_v: f64, to_v: f64, length_s: f64) {
+        let lag_v = (to_v - from_v) / length_s * self.time_constant_s;
+        self.state_v = to_v - lag_v + (self.state_v - from_v + lag_v) * self.decay(length_s);
+    }
 }
 
 /// A part of the tick with a constant target.
@@ -56,6 +95,7 @@ impl AmplifierSim {
             plain: amplifier.slew.is_none()
                 && amplifier.input.is_empty()
                 && amplifier.output.is_empty()
+                && amplifier.further_s == 0.0
                 && delay_ticks == 0.0,
             gain: drive.gain,
             offset_v: drive.offset_v,
@@ -71,6 +111,7 @@ impl AmplifierSim {
             input: amplifier.input,
             output: amplifier.output,
             state_v: 0.0,
+            further: Further::new(tau, amplifier.further_s, step_s),
         }
     }
 
@@ -87,6 +128,9 @@ impl AmplifierSim {
     /// Start from an output voltage (before what sits at the output) with `target_v` having been asked for long.
     pub fn start(&mut self, state_v: f64, target_v: f64) {
         self.state_v = state_v.clamp(self.min_v, self.max_v);
+        if let Some(further) = &mut self.further {
+            further.state_v = self.state_v;
+        }
         self.pipeline.clear();
         if !self.plain {
             self.pipeline.extend(std::iter::repeat_n(target_v, self.whole_ticks + 1));
@@ -100,7 +144,8 @@ impl AmplifierSim {
 
     /// Output voltage now, V.
     pub fn output_v(&mut self, time_s: f64) -> f64 {
-        passed(&mut self.output, self.state_v, time_s)
+        let v = self.further.as_ref().map_or(self.state_v, |further| further.state_v);
+        passed(&mut self.output, v, time_s)
     }
 
     /// Hold a target to the next tick (at `time_s`): the output there. `load` is what the stack shows it.
@@ -133,27 +178,44 @@ impl AmplifierSim {
     /// First order towards the target with the slope held between limits (down, up): a ramp, then an exponential.
     fn segment(&mut self, target_v: f64, segment: Segment, limits: Option<(f64, f64)>) {
         let gap = target_v - self.state_v;
-        let mut v = target_v - gap * segment.decay;
         if let Some((down, up)) = limits {
             let slope = if gap > 0.0 { up } else { down };
             // Where the exponential becomes slower than the limit.
             let knee = slope * self.time_constant_s;
             if gap.abs() > knee {
-                let ramp_s = (gap.abs() - knee) / slope;
-                v = if ramp_s >= segment.length_s {
-                    self.state_v + gap.signum() * slope * segment.length_s
-                } else {
-                    let rest_s = segment.length_s - ramp_s;
-                    let decay = if self.time_constant_s > 0.0 {
-                        (-rest_s / self.time_constant_s).exp()
-                    } else {
-                        0.0
-                    };
-                    target_v - gap.signum() * knee * decay
-                };
+                let ramp_s = ((gap.abs() - knee) / slope).min(segment.length_s);
+                self.ramp(self.state_v + gap.signum() * slope * ramp_s, ramp_s);
+                let rest_s = segment.length_s - ramp_s;
+                if rest_s > 0.0 {
+                    self.approach(target_v, Segment::new(rest_s, self.time_constant_s));
+                }
+                return;
             }
         }
+        self.approach(target_v, segment);
+    }
+
+    fn approach(&mut self, target_v: f64, segment: Segment) {
+        let from_v = self.state_v;
+        let v = target_v + (from_v - target_v) * segment.decay;
+        if let Some(further) = &mut self.further {
+            further.approach(from_v, target_v, segment.decay, segment.length_s);
+        }
+        self.keep_within(v);
+    }
+
+    fn ramp(&mut self, to_v: f64, length_s: f64) {
+        if let Some(further) = &mut self.further {
+            further.ramp(self.state_v, to_v, length_s);
+        }
+        self.keep_within(to_v);
+    }
+
+    fn keep_within(&mut self, v: f64) {
         self.state_v = clamp(v, self.min_v, self.max_v);
+        if let Some(further) = &mut self.further {
+            further.state_v = clamp(further.state_v, self.min_v, self.max_v);
+        }
     }
 }
 
