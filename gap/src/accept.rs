@@ -108,6 +108,7 @@ pub fn loud_axes(scene: &Scene, stack: &Stack) -> u32 {
     for (c, channel) in scene.channels.iter().enumerate() {
         let Some(row) = &stack[c] else { continue };
         let (own, floor, spread) = channel.excess_of(row);
+        let own = own - row.len() as f64 * of_integrators(scene, channel);
         let sum = &mut sums[channel.axis];
         *sum = (sum.0 + own, sum.1 + floor, sum.2 + spread);
         if own > (4.0 * spread.sqrt()).max(0.03 * floor) {

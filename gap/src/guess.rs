@@ -9,7 +9,7 @@ use host_sim::rig::Rig;
 
 use crate::Error;
 use crate::floor::Kind;
-use crate::knobs::EffectRef;
+use crate::knobs::{EffectRef, FARTHEST_ZERO};
 use crate::scene::{Scene, Stack};
 use crate::spectra::{SLOWEST_HUM_HZ, coherent, has_harmonic, lines, push_apart, resonances};
 
@@ -256,7 +256,7 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
         }
         "sensor-nonlinearity" => {
             // The line may end far beyond what was driven.
-            for zero_m in [0.0, far, 1.5 * far, 2.5 * far] {
+            for zero_m in [0.0, far, FARTHEST_ZERO * far] {
                 for name in ["quadratic_per_m", "cubic_per_m2"] {
                     wanted.push(with(&[(name, typical(name)), ("zero_m", zero_m)]));
                 }
@@ -266,6 +266,11 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             for share in [0.1, 0.5, 2.0] {
                 let time_s = ("time_constant_s", share * ranges.session_s);
                 wanted.push(with(&[("growth", typical("growth")), time_s]));
+            }
+        }
+        "piezo-gain" => {
+            for polarisation in [0.0, 1.0] {
+                wanted.push(with(&[("ratio", typical("ratio")), ("polarisation", polarisation)]));
             }
         }
         "drive-delay" => {

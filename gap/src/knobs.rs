@@ -1,6 +1,6 @@
 //! What a fit turns: parameters of catalogue effects at their places, or nominal values of the rig.
 
-use host_sim::effects::{Effect, Place, Role, Scope};
+use host_sim::effects::{Effect, Parameter, Place, Role, Scope};
 use host_sim::rig::Rig;
 
 use crate::Error;
@@ -115,6 +115,13 @@ impl Knob {
         self.min == self.max
     }
 
+    /// Whether it only tells two varieties of an effect apart that is one number in most rigs.
+    pub fn is_variety(&self) -> bool {
+        let Target::Effect { effect, index, .. } = &self.target else { return false };
+        let info = effect.info();
+        VARIETIES.contains(&(info.name, info.parameters[*index].name))
+    }
+
     /// Whether it ties the motion of axes together.
     pub fn couples(&self) -> bool {
         matches!(&self.target, Target::Effect { effect, .. } if effect.info().scope != Scope::Axis)
@@ -184,6 +191,17 @@ pub fn places(effect: EffectRef, axes: usize) -> Vec<Place> {
     }
 }
 
+/// Parameters that only tell varieties of an effect apart.
+const VARIETIES: [(&str, &str); 2] =
+    [("piezo-gain", "polarisation"), ("amplifier-bandwidth", "further_pole")];
+
+/// Whether an effect is one number, or has one beside which others only tell varieties apart.
+pub(crate) fn is_plain(effect: EffectRef) -> bool {
+    let info = effect.info();
+    let is_variety = |p: &&Parameter| VARIETIES.contains(&(info.name, p.name));
+    info.parameters.iter().filter(|p| !is_variety(p)).count() == 1
+}
+
 /// Fastest mode that is told from inertia, as a share of the sample rate.
 const FASTEST_MODE: f64 = 0.35;
 
@@ -191,7 +209,7 @@ const FASTEST_MODE: f64 = 0.35;
 const MODE_STEP: f64 = 4.0e-3;
 
 /// Farthest end of a gauge's calibration, as a multiple of the travel.
-const FARTHEST_ZERO: f64 = 1.5;
+pub(crate) const FARTHEST_ZERO: f64 = 1.5;
 
 /// Knobs of an effect at one place: sizes and shapes in the order of its parameters.
 pub fn knobs_at(effect: EffectRef, place: Place, ranges: &Ranges) -> Vec<Knob> {

@@ -10,7 +10,7 @@ use host_sim::rig::Rig;
 use crate::Error;
 use crate::fit::{Effort, Sensitivities, cost, fit};
 use crate::guess::Ranges;
-use crate::knobs::EffectRef;
+use crate::knobs::{EffectRef, Knob, is_plain};
 use crate::model::{Model, Term, knobs_of, start_terms};
 use crate::scene::{Channel, Scene, Stack, Wanted};
 use crate::screen::{Gain, Screen, screen};
@@ -272,7 +272,7 @@ impl<'a> Search<'a> {
             let mut offers = self.shortlist(&gains, &names, usize::MAX);
             let plain = offers.split_off(offers.len().min(self.breadth.swaps)).into_iter();
             // An effect of many forms promises more than the plain one whose form it takes on here.
-            let plain = plain.filter(|(effect, _)| effect.info().parameters.len() == 1);
+            let plain = plain.filter(|(effect, _)| is_plain(*effect));
             offers.extend(plain.take(self.breadth.plain));
             for (effect, gains) in offers {
                 if gains.iter().map(|g| g.gain).sum::<f64>() < PROMISE * needed {
@@ -295,7 +295,8 @@ impl<'a> Search<'a> {
         let left = (best.fit.cost - self.noise).max(0.0);
         let most = best.fit.cost + crate::ambiguity::NOISE_MARGIN + AS_LITTLE * left;
         let is_rival = |m: &&Model| m.terms.len() == best.terms.len() && m.fit.cost < most;
-        let numbers = |m: &Model| m.fit.knobs.iter().filter(|knob| !knob.is_frozen()).count();
+        let counts = |knob: &&Knob| !knob.is_frozen() && !knob.is_variety();
+        let numbers = |m: &Model| m.fit.knobs.iter().filter(counts).count();
         let plainest = self.tried.iter().filter(is_rival).min_by_key(|m| numbers(m));
         match plainest {
             Some(plain) if numbers(plain) < numbers(&best) => plain.clone(),
