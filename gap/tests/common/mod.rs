@@ -87,7 +87,16 @@ pub fn session_of(
 /// What is said of a case of the truth generator, which shares no code with the catalogue. `of`: what it was drawn for; the generator is
 /// free to change, and then another case has to be chosen.
 pub fn drawn(seed: u64, index: u64, of: &[&str]) -> Diagnosis {
-    let mut case = Case::draw(seed, index, &Draw { other_rigs: true, ..Draw::default() });
+    diagnosed_case((seed, index), &Draw { other_rigs: true, ..Draw::default() }, of)
+}
+
+/// The same, on the paper's rig.
+pub fn drawn_of_the_paper(seed: u64, index: u64, of: &[&str]) -> Diagnosis {
+    diagnosed_case((seed, index), &Draw::default(), of)
+}
+
+fn diagnosed_case((seed, index): (u64, u64), draw: &Draw, of: &[&str]) -> Diagnosis {
+    let mut case = Case::draw(seed, index, draw);
     let truth: Vec<&str> = case.label.truth.iter().map(|t| t.effect.as_str()).collect();
     assert_eq!(truth, of, "seed {seed}, case {index} is another one now: choose a new one");
     case.label.id = "case".into();

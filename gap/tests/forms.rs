@@ -1,0 +1,38 @@
+//! Effects in another form than the plainest, from the truth generator, which shares no code with the catalogue.
+
+use gap::diagnosis::Verdict;
+
+mod common;
+
+use common::{causes, drawn_of_the_paper};
+
+#[test]
+fn an_amplifier_with_a_second_pole_is_a_slow_amplifier() {
+    let diagnosis = drawn_of_the_paper(2020, 8, &["amplifier-bandwidth"]);
+    let named = vec![("amplifier-bandwidth", &[1, 2, 3][..])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert!(diagnosis.gap.closed > 0.995, "{}", diagnosis.gap.closed);
+}
+
+#[test]
+fn a_gauge_whose_line_ends_beyond_the_travel_is_bent() {
+    let diagnosis = drawn_of_the_paper(2020, 1, &["sensor-nonlinearity"]);
+    let named = vec![("sensor-nonlinearity", &[1, 2, 3][..])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+}
+
+#[test]
+fn a_stack_of_another_polarisation_has_another_gain() {
+    let diagnosis = drawn_of_the_paper(2020, 103, &["piezo-gain"]);
+    let named = vec![("piezo-gain", &[1, 2, 3][..])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    let polarisation = diagnosis.causes[0].parameters["polarisation"].value;
+    assert!(polarisation > 0.9, "the capacitance goes along: {polarisation}");
+}
+
+#[test]
+fn a_gauge_that_warms_up_is_no_wrong_gain() {
+    let diagnosis = drawn_of_the_paper(2020, 67, &["unknown"]);
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Unexplained, vec![]));
+    assert!(diagnosis.looks_like.as_ref().is_some_and(|words| words.contains("gauge-warming")));
+}
