@@ -21,8 +21,9 @@ const SHARE_OF_STEP: f64 = 0.03;
 const SIGNIFICANT: f64 = 6.0;
 /// Held-out share that an explanation must close to be called one.
 const EXPLAINS: f64 = 0.90;
-/// Below this share on an axis, the causes found there are taken for proxies of something else.
-const PROXY: f64 = 0.70;
+/// Below this share on an axis, the causes found there are taken for proxies of something else. Over 380 cases of the truth generator the
+/// right causes close 0.80 of every axis and more, but where next to nothing was held out.
+const PROXY: f64 = 0.78;
 
 /// Gap of one axis in units of its noise.
 #[derive(Debug, Clone, Copy, Default)]

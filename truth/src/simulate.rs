@@ -143,14 +143,7 @@ pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Opt
     for tick in 0..ticks {
         let time = experiment.start_s + tick as f64 / rate;
         // Sampled first: this tick's drive has not acted yet.
-        let seen: Vec<f64> = (0..axes)
-            .map(|axis| {
-                let own = moving[axis].position_m;
-                let others =
-                    (0..axes).map(|from| world.sensor_cross[axis][from] * moving[from].position_m);
-                own + others.sum::<f64>()
-            })
-            .collect();
+        let seen: Vec<f64> = (0..axes).map(|axis| seen_m(world, &moving, axis)).collect();
         for (index, (axis, state)) in world.axes.iter_mut().zip(&mut moving).enumerate() {
             let mut reading = gauge(axis, state, seen[index], time);
             for fault in world.faults.iter_mut().filter(|fault| fault.axis == index) {
@@ -237,6 +230,10 @@ pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Opt
                 }
                 amplifier(axis, &mut moving[index], asked, time, dt);
                 mechanics(axis, &mut moving[index], force, dt);
+            }
+            for index in 0..axes {
+                let seen = seen_m(world, &moving, index);
+                conditioner(&world.axes[index], &mut moving[index], seen, dt);
             }
         }
     }
@@ -427,19 +424,25 @@ fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside_n: f64, dt: f64) 
         *speed += dt * pull;
         *y += dt * *speed;
     }
+}
 
-    if let Some(lowpass) = axis.lowpass {
-        let omega = TAU * lowpass.corner_hz;
-        let (y, slope) = &mut state.filter;
-        if lowpass.second_order {
-            *slope += dt
-                * (omega * omega * (state.position_m - *y)
-                    - std::f64::consts::SQRT_2 * omega * *slope);
-            *y += dt * *slope;
-        } else {
-            *y += (state.position_m - *y) * state.gauge_share;
-        }
+/// One step of a gauge's conditioner, if it has a low-pass: of what the gauge sees, of its own axis and of others.
+fn conditioner(axis: &AxisWorld, state: &mut Moving, seen_m: f64, dt: f64) {
+    let Some(lowpass) = axis.lowpass else { return };
+    let omega = TAU * lowpass.corner_hz;
+    let (y, slope) = &mut state.filter;
+    if lowpass.second_order {
+        *slope += dt * (omega * omega * (seen_m - *y) - std::f64::consts::SQRT_2 * omega * *slope);
+        *y += dt * *slope;
+    } else {
+        *y += (seen_m - *y) * state.gauge_share;
     }
+}
+
+/// Displacement (m) that the gauge of an axis sees, with what it gets of the others.
+fn seen_m(world: &World, moving: &[Moving], axis: usize) -> f64 {
+    let others = world.sensor_cross[axis].iter().zip(moving);
+    moving[axis].position_m + others.map(|(share, other)| share * other.position_m).sum::<f64>()
 }
 
 /// Force (N) of bristles that give way at `level_n`, and its slope (N/m), `travel_m` after they held with `before_n`.
