@@ -10,6 +10,7 @@ use crate::Error;
 use crate::accept;
 use crate::fit::Effort;
 use crate::model::{Model, Term, start_terms};
+use crate::scene::Stack;
 use crate::select::{MOST_EFFECTS, Search};
 
 /// The effect that this is about.
@@ -17,16 +18,21 @@ const LOOP: &str = "hysteresis-shape";
 /// Its parameters beyond the plain ones.
 const FURTHER: [&str; 4] = ["bend", "imprint_v", "yield", "spread"];
 
-/// Share of the gap of an axis that the plain loop alone must account for, on an axis that counts.
-const PLAIN_LOOP: f64 = 0.3;
+/// The effect that other laws of a loop are most like: the same memory, of a force instead of a voltage.
+const FRICTION: &str = "friction";
+
+/// Share of the gap of an axis that the plain loop must account for, alone or beside others, on an axis that counts.
+const PLAIN_LOOP: f64 = 0.2;
 /// Share of the whole gap that makes an axis count.
 const COUNTS: f64 = 0.1;
 /// Share of what the plain loop alone leaves on these axes that any loop alone may leave at most: else its law was not what was missing.
 const ANOTHER_LAW: f64 = 0.8;
 /// Share of what the model with a plain loop leaves that one with any loop may leave at most.
 const MUCH_LESS: f64 = 0.65;
-/// ... or this share with fewer effects.
+/// ... or this share with fewer effects, the loop on no more axes.
 const AS_LITTLE: f64 = 1.1;
+/// ... or this one, with friction gone from them: a further effect must remove a third of what the loop alone leaves.
+const AS_FURTHER: f64 = 1.5;
 /// Share of the gap that the form of a single right effect leaves.
 const FORM_OF_ONE: f64 = 0.01;
 /// Iterations of its fit.
@@ -37,17 +43,25 @@ pub(crate) fn rests(effect: &str, parameter: &str) -> bool {
     effect == LOOP && FURTHER.contains(&parameter)
 }
 
+/// Axes with a loop of another kind.
+fn places(model: &Model) -> usize {
+    model.terms.iter().find(|term| term.name() == LOOP).map_or(usize::MAX, |term| term.places.len())
+}
+
 impl Search<'_> {
     /// The model of a search with a loop of any kind, if that is better than `plain`, the one with plain loops.
     pub(crate) fn with_any_loop(&mut self, plain: Option<Model>) -> Result<Option<Model>, Error> {
         let is_loop = |model: &&Model| model.key() == [LOOP];
-        let Some(alone) = self.tried.iter().find(is_loop).cloned() else { return Ok(plain) };
-        let axes = self.axes_of_loop(&alone);
+        let alone = self.tried.iter().find(is_loop).cloned();
+        let own = alone.map(|alone| (self.axes_of_loop(&alone, &self.base), alone));
+        // What is loud and none of a loop hides one that stands beside it.
+        let beside = plain.as_ref().and_then(|plain| self.loop_beside_others(plain));
+        let bound: Vec<(u32, Model)> = own.into_iter().chain(beside).filter(|b| b.0 != 0).collect();
         let is_closed = |m: &Model| {
             m.terms.len() < MOST_EFFECTS
                 && accept::gaps(self.scene, &m.fit.stack).iter().all(|g| !g.counts)
         };
-        if axes == 0 || plain.as_ref().is_some_and(is_closed) {
+        if bound.is_empty() || plain.as_ref().is_some_and(is_closed) {
             return Ok(plain);
         }
         // Where one effect accounts for all but its form, a loop has to do as well by itself: with company it can take on any form.
@@ -60,24 +74,35 @@ impl Search<'_> {
         let known = self.tried.clone();
         self.tried.retain(|model| !model.key().contains(&LOOP));
         self.ranges.any_loop = true;
-        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(&alone).into_iter().unzip();
-        let effort = Effort { iterations: ITERATIONS, hopeless: enough, ..self.effort() };
-        let freed = self.fit_model(terms, start.concat(), effort)?;
+        let mut is_another_law = false;
+        for (axes, bound) in bound {
+            let terms = start_terms(&bound).into_iter();
+            let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = terms.unzip();
+            let effort = Effort { iterations: ITERATIONS, hopeless: enough, ..self.effort() };
+            let freed = self.fit_model(terms, start.concat(), effort)?;
+            let before = self.left_on(&bound.fit.stack, axes).max(0.0);
+            is_another_law = self.left_on(&freed.fit.stack, axes) < ANOTHER_LAW * before
+                && freed.fit.cost < enough;
+            if is_another_law {
+                self.remember(freed);
+                break;
+            }
+        }
         let noise = self.noise;
         let left = |m: &Model| (m.fit.cost - noise).max(0.0);
-        let is_another_law =
-            self.left_on(&freed, axes) < ANOTHER_LAW * self.left_on(&alone, axes).max(0.0);
-        let any = if is_another_law && freed.fit.cost < enough {
-            self.remember(freed);
-            self.select()?
-        } else {
-            None
-        };
+        let any = if is_another_law { self.select()? } else { None };
         let is_better = match (&any, &plain) {
             (Some(any), None) => any.key().contains(&LOOP),
             (Some(any), Some(plain)) => {
                 let (few, many) = (any.terms.len(), plain.terms.len());
-                let share = if few < many { AS_LITTLE } else { MUCH_LESS };
+                let has_friction = |m: &Model| m.key().contains(&FRICTION);
+                let share = if few >= many || places(any) > places(plain) {
+                    MUCH_LESS
+                } else if has_friction(plain) && !has_friction(any) {
+                    AS_FURTHER
+                } else {
+                    AS_LITTLE
+                };
                 let suffices = left(any) < share * left(plain);
                 any.key().contains(&LOOP) && suffices
             }
@@ -91,18 +116,33 @@ impl Search<'_> {
         Ok(plain)
     }
 
-    /// Cost beyond noise that a model leaves on the axes in a mask.
-    fn left_on(&self, model: &Model, axes: u32) -> f64 {
-        let stack = &model.fit.stack;
+    /// Cost beyond noise of a stack on the axes in a mask.
+    fn left_on(&self, stack: &Stack, axes: u32) -> f64 {
         self.scene.cost_on(stack, axes) - self.scene.noise_on(stack, axes)
     }
 
-    /// Axes (a mask) on which a loop alone is a good part of the answer.
-    fn axes_of_loop(&self, alone: &Model) -> u32 {
+    /// Axes (a mask) on which the loop of a model is a good part of the answer, beside what leaves `without` it.
+    fn axes_of_loop(&self, model: &Model, without: &Stack) -> u32 {
         (0..self.nominal.axes.len()).map(|axis| 1 << axis).fold(0, |axes, bit| {
-            let gap = self.scene.cost_on(&self.base, bit) - self.scene.noise_on(&self.base, bit);
-            let saved = gap - self.left_on(alone, bit);
+            let gap = self.left_on(&self.base, bit);
+            let saved = self.left_on(without, bit) - self.left_on(&model.fit.stack, bit);
             if gap > COUNTS * self.gap && saved > PLAIN_LOOP * gap { axes | bit } else { axes }
         })
+    }
+
+    /// A model of several effects with a loop among them that is a good part of the answer on some axes. Friction is left out: it makes
+    /// up for a law that the plain loop does not have.
+    fn loop_beside_others(&self, model: &Model) -> Option<(u32, Model)> {
+        // The best one comes first.
+        let with = |names: &[&str]| self.tried.iter().find(|known| known.key() == names);
+        let mut names = model.key();
+        names.retain(|name| *name != FRICTION);
+        let is_all = names.len() == model.terms.len();
+        let bound = if is_all { model.clone() } else { with(&names)?.clone() };
+        let at = names.iter().position(|name| *name == LOOP)?;
+        names.remove(at);
+        let without = if names.is_empty() { &self.base } else { &with(&names)?.fit.stack };
+        let axes = self.axes_of_loop(&bound, without);
+        (axes != 0).then_some((axes, bound))
     }
 }

@@ -15,14 +15,20 @@ use crate::scene::{Channel, Stack, Wanted, dot};
 use crate::select::Search;
 
 /// Frequencies that are tried around a start, as steps beside it and their size: first the coarse ones, then between them.
-const SCANS: [(i32, f64); 2] = [(7, 0.01), (4, 0.0025)];
+const SCANS: [(i32, f64); 2] = [(4, 0.02), (4, 0.0025)];
 
 /// Share of what is left that the recordings hold in which frequencies are tried.
 const TELLING: f64 = 0.8;
 
+/// So many offers of a start are many: most of them are told from the best ones by one recording.
+const MANY_OFFERS: usize = 24;
+
+/// Of many offers one in so many is tried in all recordings that tell.
+const KEPT_OF_MANY: usize = 5;
+
 /// Coarse steps below and above a frequency that was seen. It is read off to three per cent, and stack and mechanism are softer alone than
 /// with a stack whose charge is held, so a mass that is told from them is too small.
-const AROUND_SEEN: std::ops::RangeInclusive<i32> = -8..=12;
+const AROUND_SEEN: std::ops::RangeInclusive<i32> = -4..=6;
 
 /// Damping ratio of a mode that is tried beside one that rings freely.
 const DAMPED: f64 = 0.02;
@@ -129,6 +135,14 @@ fn lags(start: &[f64], second: [f64; 3]) -> Vec<Vec<f64>> {
     lags
 }
 
+/// Recordings in which start values are tried.
+struct Telling {
+    /// Those that hold most of what is left.
+    all: Vec<usize>,
+    /// Of each axis the one that holds most.
+    first: Vec<usize>,
+}
+
 impl Search<'_> {
     /// Start values of `effect` at `places`, one set a place, moved to the frequencies that suit the session best beside the
     /// `known` terms, which leave `left`, or to the poles that do, or within the reach of a threshold. Others stay as they are.
@@ -190,14 +204,33 @@ impl Search<'_> {
         Ok(starts)
     }
 
-    /// For every place the one of its offers that leaves least of some recordings, beside the `known` terms.
+    /// For every place the one of its offers that leaves least of some recordings, beside the `known` terms. Many offers go through the
+    /// most telling recording first.
     fn best_of_offers(
         &self,
         known: &[(Term, Vec<f64>)],
         (effect, places): (EffectRef, &[Place]),
         offers: &[Vec<Vec<f64>>],
-        telling: &[usize],
+        telling: &Telling,
     ) -> Result<Vec<Vec<f64>>, Error> {
+        let many = offers.iter().map(Vec::len).max().unwrap_or(0);
+        let mut ranked = offers.to_vec();
+        if many >= MANY_OFFERS && telling.first.len() < telling.all.len() {
+            ranked = self.rank_offers(known, (effect, places), offers, &telling.first)?;
+            ranked.iter_mut().for_each(|offers| offers.truncate(many.div_ceil(KEPT_OF_MANY)));
+        }
+        let ranked = self.rank_offers(known, (effect, places), &ranked, &telling.all)?;
+        Ok(ranked.into_iter().map(|mut offers| offers.swap_remove(0)).collect())
+    }
+
+    /// The offers of every place, those that leave least of some recordings first.
+    fn rank_offers(
+        &self,
+        known: &[(Term, Vec<f64>)],
+        (effect, places): (EffectRef, &[Place]),
+        offers: &[Vec<Vec<f64>>],
+        telling: &[usize],
+    ) -> Result<Vec<Vec<Vec<f64>>>, Error> {
         let include = |c: &Channel| (self.include)(c) && telling.contains(&c.track);
         let most = offers.iter().map(Vec::len).max().unwrap_or(0);
         let nth = |offers: &Vec<Vec<f64>>, k: usize| offers[k.min(offers.len() - 1)].clone();
@@ -212,22 +245,31 @@ impl Search<'_> {
         let axes = places.iter().fold(0, |m, &p| m | axes_seen(self.nominal, effect, p));
         let jobs: Vec<_> = rigs.iter().map(|rig| (rig, Wanted { axes, monitors: false })).collect();
         let stacks = self.scene.residuals(&jobs, include)?;
-        let best = |offers: &Vec<Vec<f64>>, place: Place| {
+        let rank = |(offers, &place): (&Vec<Vec<f64>>, &Place)| {
             let mask = axes_seen(self.nominal, effect, place);
-            let left = stacks.iter().map(|stack| self.scene.cost_on(stack, mask)).enumerate();
-            let finite = left.filter(|(_, left)| left.is_finite());
-            nth(offers, finite.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(k, _)| k))
+            let left: Vec<f64> =
+                stacks.iter().map(|stack| self.scene.cost_on(stack, mask)).collect();
+            let mut order: Vec<usize> = (0..offers.len()).collect();
+            // An offer that cannot be simulated is the last one.
+            let key = |k: usize| if left[k].is_finite() { left[k] } else { f64::INFINITY };
+            order.sort_by(|&a, &b| key(a).total_cmp(&key(b)));
+            order.into_iter().map(|k| offers[k].clone()).collect()
         };
-        Ok(offers.iter().zip(places).map(|(offers, &place)| best(offers, place)).collect())
+        Ok(offers.iter().zip(places).map(rank).collect())
     }
 
-    /// The recordings that hold most of what is left. A frequency that is off shows where the resonance rings, and costs a simulation
-    /// of everything else.
-    fn telling(&self, left: &Stack) -> Vec<usize> {
+    /// The recordings that hold most of what is left, and of each axis the one that holds most. A frequency that is off shows where the
+    /// resonance rings, and costs a simulation of everything else.
+    fn telling(&self, left: &Stack) -> Telling {
         let mut gaps = vec![0.0; self.scene.tracks.len()];
+        let mut first = vec![(0.0, None); self.nominal.axes.len()];
         for (row, channel) in left.iter().zip(&self.scene.channels) {
             if let Some(row) = row {
-                gaps[channel.track] += dot(row, row) - channel.noise_cost();
+                let gap = dot(row, row) - channel.noise_cost();
+                gaps[channel.track] += gap;
+                if gap > first[channel.axis].0 {
+                    first[channel.axis] = (gap, Some(channel.track));
+                }
             }
         }
         let mut order: Vec<usize> = (0..gaps.len()).filter(|&track| gaps[track] > 0.0).collect();
@@ -239,6 +281,9 @@ impl Search<'_> {
             held += gaps[track];
             is_needed
         });
-        order
+        let mut first: Vec<usize> = first.into_iter().filter_map(|(_, track)| track).collect();
+        first.sort_unstable();
+        first.dedup();
+        Telling { all: order, first }
     }
 }

@@ -58,7 +58,7 @@ pub(crate) fn unmask(
 }
 
 /// The best model with `stranger` in the place of one cause that it passes for, or of all causes, if that leaves clearly less of the
-/// recordings that were fitted; in the place of several it need not leave more.
+/// recordings that were fitted; in the place of several it may leave as much.
 fn instead(
     scene: &Scene,
     rig: &Rig,
@@ -73,11 +73,15 @@ fn instead(
     let tick = || {};
     let left_on =
         |stack: &Stack, axes: u32| scene.cost_on(stack, axes) - scene.noise_on(stack, axes);
-    if left_on(&model.fit.stack, u32::MAX) < WORTH_ABSOLUTE {
+    // Two causes for what one stranger does are taken back although they leave nothing.
+    let is_pair = model.terms.iter().filter(|term| is_like(term)).count() > 1;
+    let left = left_on(&model.fit.stack, u32::MAX);
+    if !is_pair && left < WORTH_ABSOLUTE {
         return Ok(None);
     }
     let search = Search::new(scene, rig, &[stranger], &model.ranges, &fitted, &tick)?;
-    if left_on(&model.fit.stack, u32::MAX) < OPEN * search.gap {
+    let worth = WORTH_ABSOLUTE.max(OPEN * search.gap);
+    if !is_pair && left < worth {
         return Ok(None);
     }
     let all = model.terms.len();
@@ -102,12 +106,14 @@ fn instead(
         let other = search.fit_terms((&others, &stack), effect, &gains)?;
         // What axes have that neither of them reaches is not for either to close.
         let axes = reach(rig, model) | reach(rig, &other);
-        let share = if other.terms.len() < all { 1.0 } else { CLEARLY_LESS };
-        let saves = model.fit.cost - other.fit.cost;
-        let is_better = left_on(&other.fit.stack, axes) < share * left_on(&model.fit.stack, axes);
-        let is_worth_it = other.terms.len() < all || saves > WORTH_ABSOLUTE.max(OPEN * search.gap);
+        let [ours, theirs] = [&other, model].map(|model| left_on(&model.fit.stack, axes));
+        let is_better = if other.terms.len() < all {
+            ours < theirs.max(0.0) + worth
+        } else {
+            ours < CLEARLY_LESS * theirs && model.fit.cost - other.fit.cost > worth
+        };
         let is_best = best.as_ref().is_none_or(|best| other.fit.cost < best.fit.cost);
-        if is_better && is_worth_it && is_best {
+        if is_better && is_best {
             best = Some(other);
         }
     }
