@@ -143,9 +143,10 @@ fn sentence(model: &Model, gone: &[&str]) -> String {
         let _ = write!(sizes, "{}; ", told.join(", "));
     }
     format!(
-        "{} would account for much of the gap, but {} leaves clearly less ({}). {} It is not in the catalogue, so no cause is named for it.",
+        "{} would account for much of the gap, but {} {} ({}). {} It is not in the catalogue, so no cause is named for it.",
         gone.join(" and "),
         info.name,
+        if gone.len() > 1 { "does so by itself" } else { "leaves clearly less" },
         sizes.trim_end_matches("; "),
         info.physics
     )

@@ -4,7 +4,7 @@ use gap::diagnosis::Verdict;
 
 mod common;
 
-use common::{causes, drawn_of_the_paper};
+use common::{causes, drawn, drawn_of_the_paper};
 
 #[test]
 fn an_amplifier_with_a_second_pole_is_a_slow_amplifier() {
@@ -35,4 +35,32 @@ fn a_gauge_that_warms_up_is_no_wrong_gain() {
     let diagnosis = drawn_of_the_paper(2020, 67, &["unknown"]);
     assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Unexplained, vec![]));
     assert!(diagnosis.looks_like.as_ref().is_some_and(|words| words.contains("gauge-warming")));
+}
+
+#[test]
+fn a_loop_of_another_law_is_no_friction() {
+    let diagnosis = drawn(2222, 83, &["hysteresis-shape"]);
+    let named = vec![("hysteresis-shape", &[3][..])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+}
+
+#[test]
+fn a_loop_of_another_law_is_seen_beside_what_is_as_loud() {
+    let diagnosis = drawn(2222, 34, &["hysteresis-shape", "amplifier-clipping"]);
+    let named = vec![("hysteresis-shape", &[1][..]), ("amplifier-clipping", &[1][..])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+}
+
+#[test]
+fn a_loop_on_one_axis_does_not_take_in_a_gain_on_all() {
+    let diagnosis = drawn(2222, 96, &["hysteresis-shape", "piezo-gain"]);
+    let named = vec![("piezo-gain", &[1, 2, 3][..]), ("hysteresis-shape", &[3][..])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+}
+
+#[test]
+fn a_pump_is_not_the_hum_of_a_gauge_and_of_an_amplifier() {
+    let diagnosis = drawn(2222, 15, &["unknown"]);
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Unexplained, vec![]));
+    assert!(diagnosis.looks_like.as_ref().is_some_and(|words| words.contains("floor-hum")));
 }
