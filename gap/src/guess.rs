@@ -311,9 +311,9 @@ pub fn fine_step(effect: &str, parameter: &str, ranges: &Ranges) -> Option<f64> 
             let fast = 0.25 * std::f64::consts::TAU * ranges.rate_hz;
             Some(2.0e-3 * ranges.stiffness_n_per_m / (fast * fast))
         }
-        // A tenth of a turn over the longest recording.
+        // An eighth of a turn from the first recording to the last: a hum runs on between them.
         ("sensor-hum" | "amplifier-hum" | "floor-hum", "frequency_hz") => {
-            Some(0.02 / ranges.longest_s.max(1.0))
+            Some(0.02 / ranges.session_s.max(1.0))
         }
         _ => None,
     }
