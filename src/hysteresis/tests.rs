@@ -1,5 +1,6 @@
 //! The line until the next slip, and models that follow each other, against every element in every tick.
 
+use super::takeover::FIT_AT_ONCE;
 use super::*;
 use std::vec::Vec;
 
@@ -15,8 +16,8 @@ impl Plain {
         self.charge = charge;
         let mut sum = Wide::ZERO;
         for (elastic, element) in self.elastic.iter_mut().zip(elements) {
-            *elastic = (*elastic + change).limit(-element.slip, element.slip);
-            sum = sum + element.elastance * *elastic;
+            *elastic = (*elastic + change).limit(-element.slip(), element.slip());
+            sum = sum + element.elastance() * *elastic;
         }
         sum.narrow()
     }
@@ -34,12 +35,14 @@ fn a_line_until_the_next_slip_is_the_clamp_of_every_element() {
     let mut seed = 0x1234_5678_9abc_def1;
     for round in 0..200 {
         let mut elements: Vec<Maxwell> = (0..random(&mut seed) % 17)
-            .map(|_| Maxwell {
-                elastance: Gain::from_f32((random(&mut seed) % 1000) as f32 * 1e-3),
-                slip: MicroCoulomb::from_bits((random(&mut seed) % 40_000_000) as i32),
+            .map(|_| {
+                Maxwell::new(
+                    Gain::from_f32((random(&mut seed) % 1000) as f32 * 1e-3),
+                    MicroCoulomb::from_bits((random(&mut seed) % 40_000_000) as i32),
+                )
             })
             .collect();
-        elements.sort_by_key(|e| e.slip);
+        elements.sort_by_key(|e| e.slip());
         let mut plain =
             Plain { elastic: std::vec![MicroCoulomb::ZERO; 16], charge: MicroCoulomb::ZERO };
         let mut state = HysteresisState::RELAXED;
@@ -59,10 +62,8 @@ fn a_line_until_the_next_slip_is_the_clamp_of_every_element() {
 
 #[test]
 fn other_elements_take_over_where_the_old_ones_stood() {
-    let element = |slip_uc: f32| Maxwell {
-        elastance: Gain::from_f32(0.03),
-        slip: MicroCoulomb::from_f32(slip_uc),
-    };
+    let element =
+        |slip_uc: f32| Maxwell::new(Gain::from_f32(0.03), MicroCoulomb::from_f32(slip_uc));
     let (three, two) = ([element(1.0), element(2.0), element(4.0)], [element(1.0), element(3.0)]);
     let mut state = HysteresisState::RELAXED;
     let at = MicroCoulomb::from_f32;
@@ -87,8 +88,8 @@ fn other_elements_take_over_where_the_old_ones_stood() {
 fn fit_plainly(elastic: &mut [MicroCoulomb], elements: &[Maxwell]) {
     let (mut last, mut slip) = (0, 0);
     for (e, element) in elastic.iter_mut().zip(elements) {
-        let room = element.slip.to_bits() - slip;
-        slip = element.slip.to_bits();
+        let room = element.slip().to_bits() - slip;
+        slip = element.slip().to_bits();
         last = e.to_bits().clamp(last - room, last + room);
         *e = MicroCoulomb::from_bits(last);
     }
@@ -100,12 +101,14 @@ fn elements_that_took_over_are_the_clamp_of_every_one() {
     let mut seed = 0x9876_5432_1abc_def7;
     let draw = |seed: &mut u64| {
         let mut elements: Vec<Maxwell> = (0..1 + random(seed) % 16)
-            .map(|_| Maxwell {
-                elastance: Gain::from_f32((random(seed) % 1000) as f32 * 1e-3),
-                slip: MicroCoulomb::from_bits((random(seed) % 40_000_000) as i32),
+            .map(|_| {
+                Maxwell::new(
+                    Gain::from_f32((random(seed) % 1000) as f32 * 1e-3),
+                    MicroCoulomb::from_bits((random(seed) % 40_000_000) as i32),
+                )
             })
             .collect();
-        elements.sort_by_key(|e| e.slip);
+        elements.sort_by_key(|e| e.slip());
         elements
     };
     for round in 0..300 {
