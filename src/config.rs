@@ -316,11 +316,9 @@ fn build_feedforward(
             let elastance = scale / (capacitance * 1.0e6);
             stiffest += elastance;
             gain::<MicroCoulomb, Volt>(&slip, "capacitance_f", stiffest)?;
-            let built = Maxwell {
-                elastance: gain(&slip, "capacitance_f", elastance)?,
-                slip: MicroCoulomb::from_f32(slip_uc),
-            };
-            let place = maxwell.iter().take_while(|other| other.slip <= built.slip).count();
+            let elastance = gain(&slip, "capacitance_f", elastance)?;
+            let built = Maxwell::new(elastance, MicroCoulomb::from_f32(slip_uc));
+            let place = maxwell.iter().take_while(|other| other.slip() <= built.slip()).count();
             let _ = maxwell.insert(place, built);
         }
     }

@@ -110,9 +110,7 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
             Command::KeepAlive => Ok(()),
             Command::Arm => self.arm(config),
             Command::Disarm => {
-                if self.state.is_active() {
-                    self.state = State::Off;
-                }
+                self.disarm();
                 Ok(())
             }
             Command::ClearFaults => {
@@ -169,6 +167,14 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
                 Ok(())
             }
             _ => Err(Refusal::AlreadyArmed),
+        }
+    }
+
+    /// Open the loop, as [`Command::Disarm`] does.
+    #[inline(always)]
+    pub fn disarm(&mut self) {
+        if self.state.is_active() {
+            self.state = State::Off;
         }
     }
 

@@ -18,12 +18,30 @@
 use crate::MAX_MAXWELL;
 use crate::units::{Gain, MicroCoulomb, Volt, Wide};
 
-/// One slip element: volts per microcoulomb below slip, and the charge at which it slips. A model holds them in the order of
-/// that charge.
+mod takeover;
+use takeover::Fitted;
+
+/// One slip element: volts per microcoulomb below slip (lower half of its bits), and the charge at which it slips (upper half). A model
+/// holds them in the order of that charge.
+///
+/// One number: the compiler then steps from element to element by address, an instruction less for each than by index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Maxwell {
-    pub(crate) elastance: Gain<MicroCoulomb, Volt>,
-    pub(crate) slip: MicroCoulomb,
+pub struct Maxwell(u64);
+
+impl Maxwell {
+    pub(crate) const fn new(elastance: Gain<MicroCoulomb, Volt>, slip: MicroCoulomb) -> Self {
+        Self(elastance.to_bits() as u32 as u64 | (slip.to_bits() as u32 as u64) << 32)
+    }
+
+    #[inline(always)]
+    const fn elastance(self) -> Gain<MicroCoulomb, Volt> {
+        Gain::from_bits(self.0 as i32)
+    }
+
+    #[inline(always)]
+    pub(crate) const fn slip(self) -> MicroCoulomb {
+        MicroCoulomb::from_bits((self.0 >> 32) as i32)
+    }
 }
 
 /// Where the elements stand.
@@ -42,7 +60,7 @@ pub struct HysteresisState {
     offset: Wide<Volt>,
     /// The slope while all elements stick.
     stiffest: Gain<MicroCoulomb, Volt>,
-    /// Elastic charge e of an element that slips, origin b of one that sticks.
+    /// Elastic charge e of an element that slips, in the direction of the motion: its limit; origin b of one that sticks.
     places: [MicroCoulomb; MAX_MAXWELL],
     /// Elements that `places` knows; others are relaxed.
     known: usize,
@@ -53,38 +71,6 @@ pub struct HysteresisState {
     /// It turned, or elements slipped, since this was last asked.
     followed: bool,
 }
-
-/// What of the new elements' line is known, while they are fitted.
-#[derive(Clone, Copy, Debug)]
-struct Fitted {
-    /// Elements that are fitted: the first ones.
-    elements: usize,
-    /// Of these, the first ones that are at their limits, and slip.
-    slipping: usize,
-    /// Sum of the elastances of those that stick, and of all.
-    slope: Gain<MicroCoulomb, Volt>,
-    stiffest: Gain<MicroCoulomb, Volt>,
-    /// Of all of them.
-    voltage: Wide<Volt>,
-    /// Limit and elastic charge of the last one.
-    slip: i32,
-    elastic: i32,
-}
-
-impl Fitted {
-    const NONE: Self = Self {
-        elements: 0,
-        slipping: 0,
-        slope: Gain::ZERO,
-        stiffest: Gain::ZERO,
-        voltage: Wide::ZERO,
-        slip: 0,
-        elastic: 0,
-    };
-}
-
-/// Elements that are fitted in one tick.
-const FIT_AT_ONCE: usize = 2;
 
 impl HysteresisState {
     /// Relaxed: a stack that was never driven, or was demagnetised. [`HysteresisState::relax`] comes before the first step.
@@ -149,7 +135,7 @@ impl HysteresisState {
         let mut slope = Gain::ZERO;
         for (place, element) in self.places.iter_mut().zip(elements) {
             *place = charge;
-            slope = slope + element.elastance;
+            slope = slope + element.elastance();
         }
         (self.slope, self.stiffest, self.offset) = (slope, slope, Wide::ZERO - slope * charge);
         self.last = self.mirrored(charge);
@@ -162,109 +148,10 @@ impl HysteresisState {
     fn find_end(&mut self, elements: &[Maxwell]) {
         self.end = match (self.places.get(self.slipping), elements.get(self.slipping)) {
             (Some(place), Some(element)) => {
-                self.mirrored(*place).saturating_add(element.slip.to_bits())
+                self.mirrored(*place).saturating_add(element.slip().to_bits())
             }
             _ => i32::MAX,
         };
-    }
-
-    /// The model has changed, and with it the charge of the present instant: until [`HysteresisState::take_over`] the voltage goes on
-    /// along its line, from `charge`.
-    #[cold]
-    #[inline(never)]
-    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
-    pub fn carry(&mut self, charge: MicroCoulomb) {
-        let (before, from) = match self.carried {
-            None => (self.unmirrored(self.last), self.unmirrored(self.last)),
-            Some([before, from]) => {
-                self.forget_fitted(from);
-                (before, from)
-            }
-        };
-        self.offset = self.offset + self.slope * from - self.slope * charge;
-        self.carried = Some([before, charge]);
-        self.fitted = Fitted::NONE;
-    }
-
-    /// The next model comes before this one has taken over: what is fitted is elastic charges again.
-    #[inline(always)]
-    fn forget_fitted(&mut self, charge: MicroCoulomb) {
-        let Fitted { elements, slipping, .. } = self.fitted;
-        if let Some(sticking) = self.places.get_mut(slipping..elements) {
-            for place in sticking {
-                *place = charge - *place;
-            }
-        }
-        self.slipping = self.slipping.max(elements);
-        self.known = self.known.max(elements);
-    }
-
-    /// A part of taking over: the next elements of the new model stand as far from the charge as those of the old one did when
-    /// [`HysteresisState::carry`] was called, as far as they may. Whether all did already: then [`HysteresisState::take_over`] comes.
-    ///
-    /// Few at a time, and of one axis a tick: all of them would cost as much again as two thirds of a tick.
-    #[cold]
-    #[inline(never)]
-    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
-    pub fn fit(&mut self, elements: &[Maxwell]) -> bool {
-        let Some([before, charge]) = self.carried else { return true };
-        let first = self.fitted.elements;
-        let (Some(places), Some(next)) = (self.places.get_mut(first..), elements.get(first..))
-        else {
-            return true;
-        };
-        if next.is_empty() {
-            return true;
-        }
-        let mut fitted = self.fitted;
-        for (place, element) in places.iter_mut().zip(next).take(FIT_AT_ONCE) {
-            let n = fitted.elements;
-            let old = if n < self.slipping {
-                *place
-            } else if n < self.known {
-                before - *place
-            } else {
-                MicroCoulomb::ZERO
-            };
-            // New limits may be narrower, or wider apart than the order of slipping allows.
-            let slip = element.slip.to_bits();
-            let room = slip.wrapping_sub(fitted.slip);
-            // Sums of two numbers within +-500 uC do not wrap.
-            let low = MicroCoulomb::from_bits(fitted.elastic.wrapping_sub(room));
-            let high = MicroCoulomb::from_bits(fitted.elastic.wrapping_add(room));
-            let elastic = old.limit(low, high);
-            fitted.stiffest = fitted.stiffest + element.elastance;
-            fitted.voltage = fitted.voltage + element.elastance * elastic;
-            // Those at their limits in the direction of the motion, which are the first ones, slip; all others stick.
-            let ahead = (elastic.to_bits() ^ self.falling).wrapping_sub(self.falling);
-            *place = if n == fitted.slipping && ahead == slip {
-                fitted.slipping += 1;
-                elastic
-            } else {
-                fitted.slope = fitted.slope + element.elastance;
-                charge - elastic
-            };
-            (fitted.slip, fitted.elastic) = (slip, elastic.to_bits());
-            fitted.elements += 1;
-        }
-        self.fitted = fitted;
-        false
-    }
-
-    /// The rest of it: the line is that of the new elements. Returns by how much the voltage is another one at the charge of
-    /// [`HysteresisState::carry`].
-    #[cold]
-    #[inline(never)]
-    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
-    pub fn take_over(&mut self, elements: &[Maxwell]) -> Volt {
-        let Some([_, charge]) = self.carried.take() else { return Volt::ZERO };
-        let old = (self.slope * charge + self.offset).narrow();
-        let Fitted { slipping, slope, stiffest, voltage, .. } = self.fitted;
-        (self.slope, self.stiffest, self.offset) = (slope, stiffest, voltage - slope * charge);
-        self.last = self.mirrored(charge);
-        (self.slipping, self.known) = (slipping, elements.len());
-        self.find_end(elements);
-        voltage.narrow() - old
     }
 
     /// Moves the charge and returns the hysteresis voltage.
@@ -288,12 +175,16 @@ impl HysteresisState {
         if self.carried.is_some() {
             return;
         }
+        self.followed = true;
         if self.mirrored(charge) < self.last {
             self.turn();
         }
         self.last = self.mirrored(charge);
-        self.followed = true;
-        self.slip(elements);
+        if self.falling == 0 {
+            self.slip::<false>(elements, charge);
+        } else {
+            self.slip::<true>(elements, charge);
+        }
     }
 
     /// The charge turns: all elements stick, where they are. [`HysteresisState::slip`] comes next.
@@ -303,38 +194,46 @@ impl HysteresisState {
     #[inline(always)]
     fn turn(&mut self) {
         let charge = self.unmirrored(self.last);
-        self.falling = !self.falling;
-        for place in self.places.iter_mut().take(self.slipping) {
-            *place = charge - *place;
+        let sticking = self.places.iter_mut().take(self.slipping);
+        if self.falling == 0 {
+            for place in sticking {
+                *place = charge - *place;
+            }
+        } else {
+            for place in sticking {
+                *place = charge + *place;
+            }
         }
         self.offset = self.offset - (self.stiffest - self.slope) * charge;
         self.slope = self.stiffest;
         self.slipping = 0;
+        self.falling = !self.falling;
     }
 
-    /// All elements slip whose time has come; finds the charge at which the next one does.
+    /// All elements slip whose time has come; finds the charge at which the next one does. A function for each direction: mirrored charges
+    /// would take two instructions more an element.
     #[inline(always)]
-    fn slip(&mut self, elements: &[Maxwell]) {
+    fn slip<const FALLING: bool>(&mut self, elements: &[Maxwell], charge: MicroCoulomb) {
         let (mut slope, mut offset, mut slipping) = (self.slope, self.offset, self.slipping);
-        let (last, falling) = (self.last, self.falling);
+        let count = elements.len().min(MAX_MAXWELL);
+        let mut end = i32::MAX;
         // Whether there is another one is asked of each: that takes less than to find out how many there are, as few slip at once.
-        let end = loop {
-            let (Some(place), Some(element)) =
+        while slipping < count
+            && let (Some(place), Some(element)) =
                 (self.places.get_mut(slipping), elements.get(slipping))
-            else {
-                break i32::MAX;
-            };
-            let at = (place.to_bits() ^ falling).saturating_add(element.slip.to_bits());
-            if last <= at {
-                break at;
+        {
+            let slip = element.slip();
+            let at = if FALLING { *place - slip } else { *place + slip };
+            if if FALLING { charge >= at } else { charge <= at } {
+                end = self.mirrored(at);
+                break;
             }
-            let at = MicroCoulomb::from_bits(at ^ falling);
             // Its origin no longer counts, its elastic charge does: together the charge at which it slips.
-            *place = at - *place;
-            slope = slope - element.elastance;
-            offset = offset + element.elastance * at;
+            *place = slip;
+            slope = slope - element.elastance();
+            offset = offset + element.elastance() * at;
             slipping += 1;
-        };
+        }
         (self.slope, self.offset, self.slipping, self.end) = (slope, offset, slipping, end);
     }
 }

@@ -357,6 +357,16 @@ impl<A: Quantity, B: Quantity> Gain<A, B> {
     pub fn to_f64(self) -> f64 {
         self.0 as f64 / (1u32 << Self::FRACTION) as f64
     }
+    /// The gain with this bit pattern.
+    #[inline(always)]
+    pub(crate) const fn from_bits(bits: i32) -> Self {
+        Self(bits, PhantomData)
+    }
+    /// The bit pattern.
+    #[inline(always)]
+    pub(crate) const fn to_bits(self) -> i32 {
+        self.0
+    }
     /// Whether it does nothing.
     #[inline(always)]
     pub const fn is_zero(self) -> bool {

@@ -12,7 +12,7 @@
 use core::cell::UnsafeCell;
 use core::fmt::Write;
 use core::mem::MaybeUninit;
-use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use core::sync::atomic::{AtomicU32, Ordering};
 
 use embassy_stm32::pac;
 use heapless::String;
@@ -46,8 +46,6 @@ unsafe impl Sync for Cell {}
 #[unsafe(link_section = ".uninit.crash")]
 static CRASH: Cell = Cell(UnsafeCell::new(MaybeUninit::uninit()));
 
-/// Set when code outside the tick has crashed: the tick returns the drives.
-pub static CRASHED: AtomicBool = AtomicBool::new(false);
 /// Double words of flash that the error correction could not read.
 pub static FLASH_ERRORS: AtomicU32 = AtomicU32::new(0);
 
@@ -174,7 +172,7 @@ fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
     let mut text = Cut(String::new());
     let _ = write!(text, "{info}");
     keep(&text.0);
-    CRASHED.store(true, Ordering::Release);
+    super::tick::return_drives();
     defmt::error!("{=str}", text.0.as_str());
     // The tick goes on above whatever priority this is, and returns the drives.
     super::timebase::wait_us(RETURN_US, || super::tick::is_parked());

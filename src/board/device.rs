@@ -6,7 +6,7 @@ use embassy_time::{Duration, Instant, Timer};
 use heapless::spsc::{Consumer, Producer};
 
 use super::flash::Bank2;
-use super::tick::{self, Answer, Order};
+use super::tick::{self, Answer};
 use super::{crash, stack, usb};
 use crate::link::message::{Counters, Crash, HISTOGRAM_BINS, Refusal, Status};
 use crate::link::session::Device;
@@ -39,7 +39,7 @@ pub fn stop_stream() {
 /// The board as the session sees it.
 pub struct Board {
     /// Orders to the tick.
-    pub orders: Producer<'static, Order>,
+    pub orders: Producer<'static, Command>,
     /// Its answers.
     pub answers: Consumer<'static, Answer>,
     /// The settings in effect.
@@ -148,7 +148,7 @@ impl Device for Board {
         }
         // An answer that came after its caller lost patience belongs to nobody.
         while self.answers.dequeue().is_some() {}
-        self.orders.enqueue(Order::Command(command)).map_err(|_| Refusal::Busy)?;
+        self.orders.enqueue(command).map_err(|_| Refusal::Busy)?;
         let asked = Instant::now();
         loop {
             Timer::after_micros(50).await;

@@ -16,14 +16,14 @@
 
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
-use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU8, AtomicU32, Ordering};
 
 use embassy_stm32::interrupt;
 use heapless::spsc::{Consumer, Producer, Queue};
 use static_cell::{ConstStaticCell, StaticCell};
 
 use super::timebase::TICK_CYCLES;
-use super::{converters, crash, outputs, records, timebase};
+use super::{converters, outputs, records, timebase};
 use crate::generator::Multisines;
 use crate::link::message::{HISTOGRAM_BIN_CYCLES, HISTOGRAM_BINS};
 use crate::{AXES, Command, Config, Controller, Faults, Flags, Record, Refusal, Sample, Table};
@@ -37,14 +37,10 @@ const CONVERTER_PATIENCE: u32 = 5;
 /// Ticks without a sign of life from the tasks until the drives are returned: 250 ms, well before the watchdog bites.
 const TASK_PATIENCE: u32 = 2_500;
 
-/// What the tasks ask of the tick.
-#[derive(Clone, Copy)]
-pub enum Order {
-    /// For the controller; answered in the queue of results.
-    Command(Command),
-    /// A fault that a task found; not answered.
-    Trip(Faults),
-}
+/// Opens the loop, once: one value for both that are urgent, as each tick has to look.
+const STOP: u8 = 1;
+/// Returns the drives, for good.
+const RETURN: u8 = 2;
 
 /// Answer to a command: the tick from which it acts.
 pub type Answer = Result<u32, Refusal>;
@@ -54,7 +50,7 @@ pub struct Ends {
     /// Records of every tick.
     pub records: records::Consumer,
     /// Orders to the tick.
-    pub orders: Producer<'static, Order>,
+    pub orders: Producer<'static, Command>,
     /// Answers of the tick.
     pub answers: Consumer<'static, Answer>,
 }
@@ -62,7 +58,7 @@ pub struct Ends {
 struct State {
     controller: Controller<&'static mut [Multisines; AXES]>,
     records: records::Producer,
-    orders: Consumer<'static, Order>,
+    orders: Consumer<'static, Command>,
     answers: Producer<'static, Answer>,
     codes: converters::Codes,
     missing_ticks: u32,
@@ -115,6 +111,8 @@ pub struct Shown {
     pub heartbeat: AtomicU32,
     config: AtomicPtr<Config>,
     has_table: AtomicBool,
+    /// What the next tick does ahead of all orders: [`STOP`], [`RETURN`], or nothing.
+    urgent: AtomicU8,
 }
 
 /// See [`Shown`].
@@ -131,11 +129,12 @@ pub static SHOWN: Shown = Shown {
     // them at each access to a field instead of once.
     config: AtomicPtr::new(core::ptr::null_mut()),
     has_table: AtomicBool::new(false),
+    urgent: AtomicU8::new(0),
 };
 
 /// Sets up what the tick needs. Once, before its interrupt is enabled.
 pub fn init(config: Config, faults: Faults) -> Ends {
-    static ORDER_QUEUE: StaticCell<Queue<Order, ORDERS>> = StaticCell::new();
+    static ORDER_QUEUE: StaticCell<Queue<Command, ORDERS>> = StaticCell::new();
     static ANSWER_QUEUE: StaticCell<Queue<Answer, ORDERS>> = StaticCell::new();
     // SAFETY: start-up calls this once.
     let (records_in, records) = unsafe { records::split() };
@@ -190,6 +189,17 @@ pub fn use_table() {
     SHOWN.has_table.store(true, Ordering::Release);
 }
 
+/// The host wants the loop open: the next tick opens it, whatever orders wait.
+pub fn stop() {
+    // Not instead of what a crash wants.
+    let _ = SHOWN.urgent.compare_exchange(0, STOP, Ordering::Release, Ordering::Relaxed);
+}
+
+/// Code outside the tick has crashed: the tick returns the drives.
+pub fn return_drives() {
+    SHOWN.urgent.store(RETURN, Ordering::Release);
+}
+
 /// Whether the drives are at their safe voltage.
 pub fn is_parked() -> bool {
     Flags(SHOWN.flags.load(Ordering::Relaxed)).is_parked()
@@ -212,8 +222,7 @@ unsafe fn ADC3() {
     timebase::postpone_deadline();
     let missing = converters::take(&mut state.codes);
 
-    let faults = state.look_around(missing != 0);
-    state.controller.trip(faults);
+    state.look_around(missing != 0);
     let missed = state.count_missed(entered);
     let can_wait = state.look_at_order(config);
 
@@ -268,7 +277,7 @@ impl State {
         self.assume_lengths();
         match self.orders.peek() {
             None => false,
-            Some(Order::Command(command)) if command.is_staging() => true,
+            Some(command) if command.is_staging() => true,
             Some(_) => {
                 self.obey(config);
                 false
@@ -295,16 +304,12 @@ impl State {
     fn obey(&mut self, config: &Config) {
         self.assume_lengths();
         // Read where it lies: a copy of the longest would be a call.
-        match self.orders.peek() {
-            Some(Order::Command(command)) => {
-                let tick = SHOWN.ticks.load(Ordering::Relaxed);
-                let answer = self.controller.obey(config, command).map(|()| tick);
-                self.assume_lengths();
-                // One command waits for its answer at a time, so there is room.
-                let _ = self.answers.enqueue(answer);
-            }
-            Some(Order::Trip(faults)) => self.controller.trip(*faults),
-            None => {}
+        if let Some(command) = self.orders.peek() {
+            let tick = SHOWN.ticks.load(Ordering::Relaxed);
+            let answer = self.controller.obey(config, command).map(|()| tick);
+            self.assume_lengths();
+            // One command waits for its answer at a time, so there is room.
+            let _ = self.answers.enqueue(answer);
         }
         self.assume_lengths();
         let _ = self.orders.dequeue();
@@ -320,18 +325,34 @@ impl State {
         }
     }
 
-    /// Faults that the controller cannot see.
+    /// Looks for faults that the controller cannot see, and for what is urgent.
     #[inline(always)]
-    fn look_around(&mut self, is_missing: bool) -> Faults {
+    fn look_around(&mut self, is_missing: bool) {
         self.missing_ticks = if is_missing { self.missing_ticks.saturating_add(1) } else { 0 };
         let beat = SHOWN.heartbeat.load(Ordering::Relaxed);
         self.silent_ticks = if beat == self.beat { self.silent_ticks.saturating_add(1) } else { 0 };
         self.beat = beat;
-        let is_starved =
-            self.silent_ticks > TASK_PATIENCE || crash::CRASHED.load(Ordering::Relaxed);
-        Faults::CONVERTER
+        if self.missing_ticks > CONVERTER_PATIENCE
+            || self.silent_ticks > TASK_PATIENCE
+            || SHOWN.urgent.load(Ordering::Relaxed) != 0
+        {
+            self.intervene();
+        }
+    }
+
+    /// Opens the loop, for one reason or another: seldom.
+    #[inline(always)]
+    fn intervene(&mut self) {
+        let urgent = SHOWN.urgent.load(Ordering::Relaxed);
+        if urgent == STOP {
+            SHOWN.urgent.store(0, Ordering::Relaxed);
+            self.controller.disarm();
+        }
+        let is_starved = self.silent_ticks > TASK_PATIENCE || urgent == RETURN;
+        let faults = Faults::CONVERTER
             .when(self.missing_ticks > CONVERTER_PATIENCE)
-            .with(Faults::STARVED.when(is_starved))
+            .with(Faults::STARVED.when(is_starved));
+        self.controller.trip(faults);
     }
 
     /// Counts triggers that had no tick, from the time since the last one.

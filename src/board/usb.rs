@@ -9,12 +9,16 @@
 //! - the pump: every millisecond it packs the records of the tick into frames, in a ring of [`FRAMES_IN_RING`] ([`RING_MS`] of packed
 //!   recording) that carries the board over a host that does not read for a while; what does not fit then is dropped and counted,
 //! - the writer: replies first, then frames, each as one transfer,
-//! - the reader: bytes to frames to [`Session`] to replies.
+//! - the reader: bytes to frames to [`Session`] to replies. While a command takes its time the reader already looks at the next packet: an
+//!   order to open the loop acts at the next tick.
 //!
 //! # Limits
 //! embassy's driver buffers one packet per endpoint. The clock is HSI48, trimmed by the host's start-of-frame.
 
+use core::future::{Future, poll_fn};
+use core::pin::pin;
 use core::sync::atomic::{AtomicU32, Ordering};
+use core::task::{Context, Poll};
 
 use embassy_executor::Spawner;
 use embassy_futures::select::{Either, select};
@@ -23,7 +27,9 @@ use embassy_stm32::{Peri, bind_interrupts, usb};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_sync::zerocopy_channel::{Channel, Receiver, Sender};
 use embassy_time::{Duration, Ticker};
-use embassy_usb::driver::{Direction, Endpoint, EndpointAddress, EndpointIn, EndpointOut};
+use embassy_usb::driver::{
+    Direction, Endpoint, EndpointAddress, EndpointError, EndpointIn, EndpointOut,
+};
 use embassy_usb::msos::{
     CompatibleIdFeatureDescriptor, PropertyData, RegistryPropertyFeatureDescriptor, windows_version,
 };
@@ -34,6 +40,7 @@ use super::device::{self, Board};
 use super::records::{Consumer, Entry, RECORDS};
 use super::tick;
 use crate::AXES;
+use crate::link::message::is_disarm;
 use crate::link::session::Session;
 use crate::link::{
     Deframer, MAX_FRAME, Sample, StreamWriter, USB_ENDPOINT_IN, USB_ENDPOINT_OUT, USB_MANUFACTURER,
@@ -355,17 +362,44 @@ async fn read(
     loop {
         endpoint.wait_enabled().await;
         deframer.end_of_transfer();
-        while let Ok(length) = endpoint.read(&mut packet).await {
-            let mut rest = packet.get(..length).unwrap_or_default();
-            while !rest.is_empty() {
-                let taken = deframer.feed(rest);
-                rest = rest.get(taken..).unwrap_or_default();
+        let mut next = None;
+        loop {
+            let read = match next.take() {
+                Some(read) => read,
+                None => poll_fn(|context| poll_read(&mut endpoint, &mut packet, context)).await,
+            };
+            let Ok(length) = read else { break };
+            let mut taken = 0;
+            while taken < length {
+                taken += deframer.feed(packet.get(taken..length).unwrap_or_default());
                 loop {
                     let errors = deframer.malformed;
                     let Some(frame) = deframer.next_frame() else { break };
                     let reply = replies.send().await;
-                    reply.length =
-                        session.handle(&mut board, &frame, errors, &mut reply.bytes).await;
+                    reply.length = {
+                        let mut handled =
+                            pin!(session.handle(&mut board, &frame, errors, &mut reply.bytes));
+                        // Staging takes milliseconds, for which an order to open the loop must not wait. The next packet takes the place of
+                        // this one, of which the deframer has everything.
+                        poll_fn(|context| {
+                            let handling = handled.as_mut().poll(context);
+                            if handling.is_pending()
+                                && taken == length
+                                && next.is_none()
+                                && let Poll::Ready(read) =
+                                    poll_read(&mut endpoint, &mut packet, context)
+                            {
+                                if let Ok(length) = read
+                                    && packet.get(..length).is_some_and(is_disarm)
+                                {
+                                    tick::stop();
+                                }
+                                next = Some(read);
+                            }
+                            handling
+                        })
+                        .await
+                    };
                     if reply.length > 0 {
                         replies.send_done();
                     }
@@ -376,4 +410,14 @@ async fn read(
             }
         }
     }
+}
+
+/// Reads a packet if one is there. The driver's future remembers nothing from poll to poll, so that each may be a new one.
+#[inline(never)]
+fn poll_read(
+    endpoint: &mut usb::Endpoint<'static, USB, usb::Out>,
+    packet: &mut [u8],
+    context: &mut Context<'_>,
+) -> Poll<Result<usize, EndpointError>> {
+    pin!(endpoint.read(packet)).poll(context)
 }

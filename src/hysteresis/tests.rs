@@ -1,5 +1,6 @@
 //! The line until the next slip, and models that follow each other, against every element in every tick.
 
+use super::takeover::FIT_AT_ONCE;
 use super::*;
 use std::vec::Vec;
 
@@ -15,8 +16,8 @@ impl Plain {
         self.charge = charge;
         let mut sum = Wide::ZERO;
         for (elastic, element) in self.elastic.iter_mut().zip(elements) {
-            *elastic = (*elastic + change).limit(-element.slip, element.slip);
-            sum = sum + element.elastance * *elastic;
+            *elastic = (*elastic + change).limit(-element.slip(), element.slip());
+            sum = sum + element.elastance() * *elastic;
         }
         sum.narrow()
     }
@@ -34,12 +35,14 @@ fn a_line_until_the_next_slip_is_the_clamp_of_every_element() {
     let mut seed = 0x1234_5678_9abc_def1;
     for round in 0..200 {
         let mut elements: Vec<Maxwell> = (0..random(&mut seed) % 17)
-            .map(|_| Maxwell {
-                elastance: Gain::from_f32((random(&mut seed) % 1000) as f32 * 1e-3),
-                slip: MicroCoulomb::from_bits((random(&mut seed) % 40_000_000) as i32),
+            .map(|_| {
+                Maxwell::new(
+                    Gain::from_f32((random(&mut seed) % 1000) as f32 * 1e-3),
+                    MicroCoulomb::from_bits((random(&mut seed) % 40_000_000) as i32),
+                )
             })
             .collect();
-        elements.sort_by_key(|e| e.slip);
+        elements.sort_by_key(|e| e.slip());
         let mut plain =
             Plain { elastic: std::vec![MicroCoulomb::ZERO; 16], charge: MicroCoulomb::ZERO };
         let mut state = HysteresisState::RELAXED;
@@ -57,12 +60,90 @@ fn a_line_until_the_next_slip_is_the_clamp_of_every_element() {
     }
 }
 
+/// The same as [`HysteresisState`] with one form for both directions: charges are mirrored while they fall, and every sum saturates.
+struct Mirrored {
+    last: i32,
+    falling: i32,
+    slipping: usize,
+    line: (Gain<MicroCoulomb, Volt>, Wide<Volt>),
+    stiffest: Gain<MicroCoulomb, Volt>,
+    places: Vec<MicroCoulomb>,
+}
+
+impl Mirrored {
+    fn step(&mut self, elements: &[Maxwell], charge: MicroCoulomb) -> Volt {
+        if charge.to_bits() ^ self.falling < self.last {
+            let turned = MicroCoulomb::from_bits(self.last ^ self.falling);
+            self.falling = !self.falling;
+            for place in &mut self.places[..self.slipping] {
+                *place = turned - *place;
+            }
+            self.line.1 = self.line.1 - (self.stiffest - self.line.0) * turned;
+            (self.line.0, self.slipping) = (self.stiffest, 0);
+        }
+        self.last = charge.to_bits() ^ self.falling;
+        while let Some(element) = elements.get(self.slipping) {
+            let place = &mut self.places[self.slipping];
+            let at = (place.to_bits() ^ self.falling).saturating_add(element.slip().to_bits());
+            if self.last <= at {
+                break;
+            }
+            let at = MicroCoulomb::from_bits(at ^ self.falling);
+            *place = at - *place;
+            self.line.0 = self.line.0 - element.elastance();
+            self.line.1 = self.line.1 + element.elastance() * at;
+            self.slipping += 1;
+        }
+        (self.line.0 * charge + self.line.1).narrow()
+    }
+}
+
+#[test]
+fn both_directions_are_one_mirrored_to_the_ends_of_the_range() {
+    let mut seed = 0x0bad_5eed_1234_5679;
+    for round in 0..200 {
+        let most = [40_000_000, i32::MAX as u32][round % 2];
+        let mut elements: Vec<Maxwell> = (0..1 + random(&mut seed) % 16)
+            .map(|_| {
+                Maxwell::new(
+                    Gain::from_f32((random(&mut seed) % 1000) as f32 * 1e-3),
+                    MicroCoulomb::from_bits((random(&mut seed) % most) as i32),
+                )
+            })
+            .collect();
+        elements.sort_by_key(|e| e.slip());
+        let mut state = HysteresisState::RELAXED;
+        state.relax(&elements, MicroCoulomb::ZERO);
+        let mut mirrored = Mirrored {
+            last: 0,
+            falling: 0,
+            slipping: 0,
+            line: (state.slope, state.offset),
+            stiffest: state.stiffest,
+            places: std::vec![MicroCoulomb::ZERO; 16],
+        };
+        let (mut charge, mut ends) = (0i32, 0);
+        for n in 0..2_000 {
+            let most = 1u32 << (random(&mut seed) % 32);
+            let stride = (random(&mut seed) % most).wrapping_sub(most / 2) as i32;
+            charge = charge.saturating_add(stride.saturating_mul(2));
+            ends += usize::from(charge == i32::MIN) + usize::from(charge == i32::MAX);
+            let q = MicroCoulomb::from_bits(charge);
+            let (one, other) = (state.step(&elements, q), mirrored.step(&elements, q));
+            assert_eq!(
+                (one, state.slipping),
+                (other, mirrored.slipping),
+                "round {round}, tick {n}"
+            );
+        }
+        assert!(ends > 20, "{ends} times at an end of the range");
+    }
+}
+
 #[test]
 fn other_elements_take_over_where_the_old_ones_stood() {
-    let element = |slip_uc: f32| Maxwell {
-        elastance: Gain::from_f32(0.03),
-        slip: MicroCoulomb::from_f32(slip_uc),
-    };
+    let element =
+        |slip_uc: f32| Maxwell::new(Gain::from_f32(0.03), MicroCoulomb::from_f32(slip_uc));
     let (three, two) = ([element(1.0), element(2.0), element(4.0)], [element(1.0), element(3.0)]);
     let mut state = HysteresisState::RELAXED;
     let at = MicroCoulomb::from_f32;
@@ -87,8 +168,8 @@ fn other_elements_take_over_where_the_old_ones_stood() {
 fn fit_plainly(elastic: &mut [MicroCoulomb], elements: &[Maxwell]) {
     let (mut last, mut slip) = (0, 0);
     for (e, element) in elastic.iter_mut().zip(elements) {
-        let room = element.slip.to_bits() - slip;
-        slip = element.slip.to_bits();
+        let room = element.slip().to_bits() - slip;
+        slip = element.slip().to_bits();
         last = e.to_bits().clamp(last - room, last + room);
         *e = MicroCoulomb::from_bits(last);
     }
@@ -100,12 +181,14 @@ fn elements_that_took_over_are_the_clamp_of_every_one() {
     let mut seed = 0x9876_5432_1abc_def7;
     let draw = |seed: &mut u64| {
         let mut elements: Vec<Maxwell> = (0..1 + random(seed) % 16)
-            .map(|_| Maxwell {
-                elastance: Gain::from_f32((random(seed) % 1000) as f32 * 1e-3),
-                slip: MicroCoulomb::from_bits((random(seed) % 40_000_000) as i32),
+            .map(|_| {
+                Maxwell::new(
+                    Gain::from_f32((random(seed) % 1000) as f32 * 1e-3),
+                    MicroCoulomb::from_bits((random(seed) % 40_000_000) as i32),
+                )
             })
             .collect();
-        elements.sort_by_key(|e| e.slip);
+        elements.sort_by_key(|e| e.slip());
         elements
     };
     for round in 0..300 {

@@ -210,6 +210,8 @@ fn header(bytes: &[u8]) -> Option<(Frame<'_>, &[u8])> {
     Some((frame, body))
 }
 
+/// Not inlined: it is in the board's flash once.
+#[inline(never)]
 fn parse(bytes: &[u8]) -> Parsed<'_> {
     if MAGIC.iter().zip(bytes).any(|(expected, found)| expected != found) {
         return Parsed::Not(FrameError::Kind);

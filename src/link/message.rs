@@ -292,6 +292,16 @@ pub fn decode_command(frame: &Frame<'_>) -> Result<Command, MessageError> {
     decode_message(frame, Kind::Command)
 }
 
+/// Whether a packet is one [`Command::Disarm`], whole and with nothing else: a device may act on it while it has another command to
+/// finish, and answer it when its turn comes.
+pub fn is_disarm(packet: &[u8]) -> bool {
+    /// Its number in the enumeration, which is all of its payload.
+    const DISARM: u8 = 5;
+    super::frame::decode(packet).is_ok_and(|frame| {
+        frame.kind == Kind::Command && frame.is_same_schema() && frame.payload == [DISARM]
+    })
+}
+
 /// Decodes a reply.
 ///
 /// # Errors

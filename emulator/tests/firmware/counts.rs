@@ -222,13 +222,14 @@ fn the_tick_fits_its_budget() {
     let worst = sines.into_iter().max().unwrap();
     let tones_worst = [starting_tones, tones, tones_staging, tones_model, disarming];
     let worst_tones = tones_worst.into_iter().max().unwrap();
-    let squares = squares(&image);
+    let (squares, squares_of_sixteen) = squares(&image);
     let everything = everything(&image);
     // An upper bound in cycles at 170 MHz. Assumed: code and data in CCM, no wait states (RM0440 2.2.4); at most 2 cycles for
     // an instruction on average (loads, multiplies with 64-bit results and taken branches cost 1 to 3 on a Cortex-M4, the
     // rest 1: Cortex-M4 TRM 3.3.1), 8 for each access to a peripheral (AHB2 through the bus matrix, contended by nobody but
     // the core), 12 + 17 for entry with floating-point stacking, 10 + 17 for return, twice that for a nested entry.
-    let bound = 2 * worst.max(worst_tones).max(squares).max(everything) + 40 * 8 + 2 * (29 + 27);
+    let dearest = [worst, worst_tones, squares, squares_of_sixteen, everything];
+    let bound = 2 * dearest.into_iter().max().unwrap() + 40 * 8 + 2 * (29 + 27);
     println!(
         "upper bound: {bound} of {} cycles a period: {:.1} % busy",
         TICK / CYCLE,
@@ -240,9 +241,10 @@ fn the_tick_fits_its_budget() {
     assert!(worst <= 2_000, "{worst} instructions at worst");
     assert!(mean_tones <= 1_700.0, "{mean_tones} instructions with multisines");
     assert!(worst_tones <= 2_000, "{worst_tones} instructions at worst with multisines");
+    assert!(squares <= 2_000, "{squares} instructions when all slips at once");
     // More than the budget is for.
-    assert!(squares <= 2_700, "{squares} instructions when all slips at once");
-    assert!(everything <= 2_500, "{everything} instructions with everything there is");
+    assert!(squares_of_sixteen <= 2_300, "{squares_of_sixteen} instructions with 16 elements");
+    assert!(everything <= 2_400, "{everything} instructions with everything there is");
 }
 
 /// All that the settings allow at once, which is more than the budget is for: multisines on all axes, a gauge map, coupled axes, creep,
@@ -277,9 +279,9 @@ fn everything(image: &Rc<Image>) -> u64 {
 }
 
 /// Elements that slip and turn in one tick, on all axes: squares whose edges pass all of them within a tick or two, of equal and of unequal
-/// phases, with 8 and with 16 elements.
-fn squares(image: &Rc<Image>) -> u64 {
-    let mut most = 0;
+/// phases, with 8 and with 16 elements; of each the dearest.
+fn squares(image: &Rc<Image>) -> (u64, u64) {
+    let mut most = (0, 0);
     for (elements, slope_um_per_ms) in
         [(8, 10.0), (8, 30.0), (8, 100.0), (16, 10.0), (16, 30.0), (16, 100.0)]
     {
@@ -309,7 +311,8 @@ fn squares(image: &Rc<Image>) -> u64 {
         let model = dearest(&mut b, "another model of all stacks while they run", |b| {
             exchange(b, &mut settings, model);
         });
-        most = most.max(moving).max(model);
+        let most = if elements == 8 { &mut most.0 } else { &mut most.1 };
+        *most = (*most).max(moving).max(model);
     }
     most
 }

@@ -2,9 +2,12 @@
 
 use emulator::bench::Bench;
 use emulator::time::{MILLISECOND, SECOND};
-use flexstage::link::{self, message::SCHEMA_HASH};
+use flexstage::generator::Multisine;
+use flexstage::link::message::{Command, Reply};
+use flexstage::link::{self, Fields, Profile, message::SCHEMA_HASH};
+use flexstage::{Flags, GeneratorSettings};
 
-use crate::common::{bench, image};
+use crate::common::{armed, bench, image};
 
 #[test]
 fn enumerates_with_correct_descriptors() {
@@ -88,4 +91,41 @@ fn survives_reset_unplugging_and_sleep_of_the_host() {
     let counters = b.counters().unwrap();
     println!("{counters:?}");
     assert_eq!(counters.overruns, 0);
+}
+
+/// A multisine is staged in 17 orders to the tick, one a tick: an order to open the loop that comes meanwhile acts at once.
+#[test]
+fn disarming_does_not_wait_for_staging() {
+    let Some(image) = image() else { return };
+    let mut b = armed(&image, 1, |_| {});
+    b.stream(Fields::RECORDING, Profile::Packed).unwrap();
+    b.run_for(20 * MILLISECOND).unwrap();
+    b.link.samples = Some(Vec::new());
+    let multisine = GeneratorSettings::Multisine(Multisine {
+        center_um: 5.0,
+        peak_um: 1.0,
+        base_hz: 1.0,
+        first: 3,
+        stride: 7,
+        tones: 16,
+        seed: 7,
+        blend_s: 0.01,
+        duration_s: 0.0,
+    });
+    let (staging, bytes) = b.link.command(&Command::Stage { axis: 0, generator: multisine });
+    b.send(bytes).unwrap();
+    let (disarming, bytes) = b.link.command(&Command::Disarm);
+    b.send(bytes).unwrap();
+    b.run_for(50 * MILLISECOND).unwrap();
+    let tick = |reply| match reply {
+        Some(Reply::Done { tick }) => u64::from(tick),
+        other => panic!("{other:?}"),
+    };
+    let staged = tick(b.link.reply(staging));
+    let answered = tick(b.link.reply(disarming));
+    let samples = b.link.samples.take().unwrap();
+    let open = samples.iter().find(|s| !Flags(s.flags).state().is_active()).unwrap().tick;
+    println!("staged from tick {staged}, open from {open}, disarming answered at {answered}");
+    assert!(open + 10 < staged, "open from tick {open}, staged from {staged}");
+    assert!(answered >= staged, "the answer comes in turn");
 }

@@ -27,6 +27,34 @@ fn round_trip(command: &Command) -> Command {
 }
 
 #[test]
+fn nothing_else_is_taken_for_disarm() {
+    let mut buffer = [0; MAX_FRAME];
+    let mut packet = |command: &Command| encode_command(&mut buffer, 5, command).unwrap().to_vec();
+    let disarm = packet(&Command::Disarm);
+    assert!(is_disarm(&disarm));
+    for other in [
+        Command::Status,
+        Command::Arm,
+        Command::Hold,
+        Command::ClearFaults,
+        Command::KeepAlive,
+        Command::Start { axes: 5 },
+        Command::SetSettings(longest_settings()),
+    ] {
+        assert!(!is_disarm(&packet(&other)), "{other:?}");
+    }
+    for length in 0..disarm.len() {
+        assert!(!is_disarm(&disarm[..length]), "{length} bytes of it");
+    }
+    assert!(!is_disarm(&[&disarm[..], &[0]].concat()), "something behind it");
+    for bit in 0..8 * disarm.len() {
+        let mut damaged = disarm.clone();
+        damaged[bit / 8] ^= 1 << (bit % 8);
+        assert!(!is_disarm(&damaged), "bit {bit}");
+    }
+}
+
+#[test]
 fn the_longest_messages_fit_a_frame() {
     let settings = longest_settings();
     let command = Command::SetSettings(settings.clone());
