@@ -104,8 +104,8 @@ fn instead(
         let gains = search.screen.test(scene, &stack, None);
         let Some((effect, gains)) = search.shortlist(&gains, &[], 1).pop() else { continue };
         let other = search.fit_terms((&others, &stack), effect, &gains)?;
-        // What axes have that neither of them reaches is not for either to close.
-        let axes = reach(rig, model) | reach(rig, &other);
+        // What axes have that the causes do not reach is not for the stranger to close.
+        let axes = reach(rig, model);
         let [ours, theirs] = [&other, model].map(|model| left_on(&model.fit.stack, axes));
         let is_better = if other.terms.len() < all {
             ours < theirs.max(0.0) + worth

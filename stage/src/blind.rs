@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
+use anstream::println;
 use anyhow::{Context, bail};
 use host_sim::Rig;
 use indicatif::{ProgressBar, ProgressStyle};

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use anstream::println;
 use anyhow::{Context, bail};
 use flexstage::link::message::{Command, Reply};
 use flexstage::{Config, Settings};

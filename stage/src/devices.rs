@@ -1,5 +1,6 @@
 //! `flexstage devices`: boards on USB.
 
+use anstream::println;
 use telemetry::transport::list_usb;
 
 /// Options of `flexstage devices`.

@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use anstream::println;
 use anyhow::{Context, bail};
 use host_sim::AnyRig;
 use recording::Session;

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use anstream::println;
 use recording::Recording;
 
 /// Options of `flexstage export`.

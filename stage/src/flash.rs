@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::process::Command as Process;
 
+use anstream::println;
 use anyhow::{Context, bail};
 use flexstage::link::message::Command;
 

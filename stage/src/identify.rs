@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use anstream::println;
 use anyhow::bail;
 use host_sim::{AnyRig, Rig};
 use recording::Session;

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use anstream::println;
 use report::plot::{Bode, LinePlot, Series};
 use report::{Report, Table};
 use serde_json::json;

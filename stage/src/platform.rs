@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use anstream::println;
 use anyhow::{Context, bail};
 use host_sim::platform::PlatformRig;
 use recording::{Recording, Session};

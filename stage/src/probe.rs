@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use anstream::println;
 use serde_json::json;
 use telemetry::probe::{Experiment, Length, Options, plan};
 

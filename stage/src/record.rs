@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use anstream::println;
 use telemetry::recorder::{Ended, Recorder};
 
 use crate::board::{BoardArgs, on_interrupt, seconds_bar};

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use anstream::println;
 use telemetry::serve::{Event, serve};
 
 use crate::board::{BoardArgs, on_interrupt};

@@ -1,5 +1,6 @@
 //! `flexstage status`: state, faults and health of a board.
 
+use anstream::println;
 use flexstage::Flags;
 use flexstage::link::message::{Command, Reply};
 use serde_json::json;

@@ -3,6 +3,7 @@
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 
+use anstream::println;
 use anyhow::Context;
 use host_sim::Rig;
 use report::{Report, Table};

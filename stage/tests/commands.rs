@@ -3,6 +3,8 @@
 
 mod common;
 
+use std::process::Stdio;
+
 use common::{Board, json, ok, refused, run, text};
 
 #[test]
@@ -14,6 +16,17 @@ fn status_says_how_the_board_is() {
     assert_eq!(status["state"], "off");
     assert_eq!(status["parked"], true);
     assert_eq!(status["faults"].as_array().unwrap().len(), 0);
+}
+
+#[test]
+fn a_reader_that_leaves_early_is_no_error() {
+    let board = Board::start(&[]);
+    let mut command = board.command(&["config", "get"]);
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    let out = child.wait_with_output().unwrap();
+    let words = String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.success() && words.is_empty(), "{words}");
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! What experiments write into: the terminal, the report and the list of results.
 
+use anstream::println;
 use indicatif::ProgressBar;
 use report::plot::Figure;
 use report::{Report, Table};

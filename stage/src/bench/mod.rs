@@ -7,6 +7,7 @@ use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use anstream::println;
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
 

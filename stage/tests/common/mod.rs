@@ -55,14 +55,16 @@ impl Board {
         Self { child, address }
     }
 
+    /// A command against it.
+    pub fn command(&self, args: &[&str]) -> Command {
+        let mut command = flexstage();
+        command.args(args).args(["--connect", &self.address]).stdin(Stdio::null());
+        command
+    }
+
     /// Run a command against it.
     pub fn run(&self, args: &[&str]) -> Output {
-        flexstage()
-            .args(args)
-            .args(["--connect", &self.address])
-            .stdin(Stdio::null())
-            .output()
-            .unwrap()
+        self.command(args).output().unwrap()
     }
 
     /// Switch it off.
