@@ -1,12 +1,16 @@
 //! The probe suite on the virtual board: a session folder that the other tools read, and a rig that is left as it was.
 
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
-use flexstage::link::message::{Command, Reply};
+use flexstage::link::Deframer;
+use flexstage::link::message::{self, Command, Reply};
 use flexstage::{Flags, Settings};
 use telemetry::probe::{self, Experiment, Length};
-use telemetry::virtual_board::{Options, Speed};
-use telemetry::{Device, Error, Target};
+use telemetry::transport::Transport;
+use telemetry::virtual_board::{Options, Speed, VirtualBoard};
+use telemetry::{Device, Error, Result, Target};
 
 fn open() -> Device {
     Device::open(&Target::Virtual(Options { speed: Speed::Max, ..Options::default() })).unwrap()
@@ -87,6 +91,55 @@ fn a_stop_parks_and_keeps_what_was_complete() {
     assert_eq!(settings(&device), before);
     let Reply::Status(status) = device.command(Command::Status).unwrap() else { panic!() };
     assert!(Flags(status.flags).is_parked());
+}
+
+/// Notes the commands for the board; asks for a stop while the first waveform is on its way.
+struct StopAtStaging {
+    board: VirtualBoard,
+    stop: Arc<AtomicBool>,
+    sent: Arc<Mutex<Vec<Command>>>,
+}
+
+impl Transport for StopAtStaging {
+    fn name(&self) -> String {
+        self.board.name()
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<()> {
+        let mut deframer = Deframer::new();
+        deframer.feed(bytes);
+        if let Some(frame) = deframer.next_frame()
+            && let Ok(command) = message::decode_command(&frame)
+        {
+            if matches!(command, Command::Stage { .. }) {
+                self.stop.store(true, Ordering::Release);
+            }
+            self.sent.lock().unwrap().push(command);
+        }
+        self.board.send(bytes)
+    }
+
+    fn receive(&mut self, timeout: Duration) -> Result<Option<Vec<u8>>> {
+        self.board.receive(timeout)
+    }
+}
+
+#[test]
+fn a_stop_while_waveforms_are_staged_is_the_next_command() {
+    let board = VirtualBoard::start(&Options { speed: Speed::Max, ..Options::default() }).unwrap();
+    let (stop, sent) = (Arc::<AtomicBool>::default(), Arc::<Mutex<Vec<Command>>>::default());
+    let transport = StopAtStaging { board, stop: stop.clone(), sent: sent.clone() };
+    let device = Device::start(Box::new(transport)).unwrap();
+    let options = probe::Options { length: Length::Quick, axes: vec![0, 1, 2], ..quick().0 };
+    let plan = probe::plan(&options);
+    let folder = tempfile::tempdir().unwrap();
+    let error = probe::run(&device, &plan, &options.axes, "", folder.path(), &stop, &mut |_| {})
+        .unwrap_err();
+    assert!(matches!(error, Error::Stopped(_)), "{error}");
+    let sent = sent.lock().unwrap().clone();
+    let staged = sent.iter().position(|c| matches!(c, Command::Stage { .. })).unwrap();
+    let next = sent[staged + 1..].iter().find(|c| !matches!(c, Command::KeepAlive));
+    assert!(matches!(next, Some(Command::Disarm)), "{next:?}");
 }
 
 #[test]

@@ -159,13 +159,21 @@ fn pick(shell: &Shell) -> Result<Toolchain> {
     Ok(Toolchain::Debian)
 }
 
-/// What rustup has put into its toolchain that builds for the board.
+/// What rustup has put into its toolchain that builds for the board. (`rustup target list` knows nothing of toolchains that were linked.)
 fn from_sysroot(sysroot: &Path) -> Option<Toolchain> {
     let lib = sysroot.join("lib/rustlib");
-    if lib.join(TARGET).join("lib").is_dir() {
+    let files = |folder: &Path| std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let is_core = |name: &str| name.starts_with("libcore-") && name.ends_with(".rlib");
+    if files(&lib.join(TARGET).join("lib"))
+        .any(|file| file.file_name().to_str().is_some_and(is_core))
+    {
         return Some(Toolchain::RustupTarget);
     }
-    let has_linker = lib.join("x86_64-unknown-linux-gnu/bin/rust-lld").is_file();
+    // In the folder of the host, whichever that is.
+    let has_linker = files(&lib).any(|host| {
+        let bin = host.path().join("bin");
+        bin.join("rust-lld").is_file() || bin.join("rust-lld.exe").is_file()
+    });
     let has_source = lib.join("src/rust/library/core").is_dir();
     (has_source && has_linker).then_some(Toolchain::RustupSource)
 }
@@ -180,16 +188,17 @@ mod tests {
         let sysroot =
             std::env::temp_dir().join(format!("flexstage-sysroot-{}", std::process::id()));
         let rustlib = sysroot.join("lib/rustlib");
-        let host = rustlib.join("x86_64-unknown-linux-gnu/bin");
+        let host = rustlib.join("aarch64-unknown-linux-gnu/bin");
         std::fs::create_dir_all(&host).unwrap();
         assert_eq!(from_sysroot(&sysroot), None, "a host toolchain only");
         std::fs::create_dir_all(rustlib.join("src/rust/library/core")).unwrap();
         assert_eq!(from_sysroot(&sysroot), None, "source without a linker");
         std::fs::write(host.join("rust-lld"), "").unwrap();
         assert_eq!(from_sysroot(&sysroot), Some(Toolchain::RustupSource));
-        std::fs::create_dir_all(rustlib.join(TARGET)).unwrap();
+        let target = rustlib.join(TARGET).join("lib");
+        std::fs::create_dir_all(&target).unwrap();
         assert_eq!(from_sysroot(&sysroot), Some(Toolchain::RustupSource), "a target half removed");
-        std::fs::create_dir_all(rustlib.join(TARGET).join("lib")).unwrap();
+        std::fs::write(target.join("libcore-0123456789abcdef.rlib"), "").unwrap();
         assert_eq!(from_sysroot(&sysroot), Some(Toolchain::RustupTarget));
         std::fs::remove_dir_all(&sysroot).unwrap();
     }

@@ -262,11 +262,22 @@ impl Runner<'_> {
         (seconds * self.rate).round() as u64
     }
 
-    /// Take what arrives next.
-    fn pump(&mut self) -> Result<()> {
+    fn unless_stopped(&self) -> Result<()> {
         if self.watching && self.stop.load(Ordering::Acquire) {
             return Err(Error::Stopped("the stage is returning to its safe voltage".into()));
         }
+        Ok(())
+    }
+
+    /// Send a command unless there was a stop: that must not wait for staging, nor be followed by a start.
+    fn command(&self, command: Command) -> Result<Reply> {
+        self.unless_stopped()?;
+        self.device.command(command)
+    }
+
+    /// Take what arrives next.
+    fn pump(&mut self) -> Result<()> {
+        self.unless_stopped()?;
         let batch = match self.stream.recv_timeout(SILENCE) {
             Ok(batch) => batch,
             Err(error) => {
@@ -343,7 +354,7 @@ impl Runner<'_> {
     /// Send a command; the tick from which it acts.
     fn order(&mut self, command: Command) -> Result<u64> {
         let now = self.now()?;
-        let Reply::Done { tick } = self.device.command(command)? else {
+        let Reply::Done { tick } = self.command(command)? else {
             return Err(Error::Invalid(
                 "the board did not say when the command takes effect".into(),
             ));
@@ -362,7 +373,7 @@ impl Runner<'_> {
                 Mode::ClosedLoop => (1.0, 0.0),
             };
             let generator = waveform.generator(scale, origin);
-            self.device.command(Command::Stage { axis: *axis as u8, generator })?;
+            self.command(Command::Stage { axis: *axis as u8, generator })?;
             mask |= 1 << axis;
         }
         if mask == 0 {
@@ -398,9 +409,9 @@ impl Runner<'_> {
         for (i, chunk) in points.chunks(TABLE_CHUNK).enumerate() {
             let offset = (i * TABLE_CHUNK) as u16;
             let points = chunk.iter().copied().collect();
-            self.device.command(Command::WriteTable { offset, points })?;
+            self.command(Command::WriteTable { offset, points })?;
         }
-        self.device.command(Command::UseTable { len: points.len() as u16 })?;
+        self.command(Command::UseTable { len: points.len() as u16 })?;
         self.table = points.to_vec();
         Ok(())
     }
