@@ -51,8 +51,6 @@ bind_interrupts!(struct Irqs {
     USB_LP => usb::InterruptHandler<USB>;
 });
 
-type Driver = usb::Driver<'static, USB>;
-
 /// Bytes of a stream frame.
 const FRAME_BYTES: usize = 1_024;
 /// Frames between pump and writer.

@@ -151,20 +151,31 @@ impl Link {
         self.shared.note(text, is_error);
     }
 
-    /// Send commands in order; the first that fails ends the sequence. `what` names it in the log.
+    /// Send commands in order; the first that fails ends the sequence, and so does a stop that comes meanwhile: what was asked for before
+    /// it must not close the loop after it. `what` names it in the log.
     pub fn send(&self, what: impl Into<String>, commands: Vec<Command>) {
         let what = what.into();
+        let asked = self.shared.stops.load(Ordering::Acquire);
         self.queue(move |shared| {
+            let is_stopped = || shared.stops.load(Ordering::Acquire) != asked;
             let result = shared.with_device(|device| {
                 let mut tick = None;
                 for command in commands {
+                    if is_stopped() {
+                        break;
+                    }
                     if let Reply::Done { tick: at } = device.command(command)? {
                         tick = Some(at);
                     }
                 }
+                if is_stopped() {
+                    // One of these commands may have been on its way when the stop overtook it.
+                    device.command(Command::Disarm)?;
+                }
                 Ok(tick)
             });
             match result {
+                Ok(_) if is_stopped() => shared.note(format!("{what}: not done, stopped"), true),
                 Ok(Some(tick)) => shared.note(format!("{what}: from tick {tick}"), false),
                 Ok(None) => shared.note(what, false),
                 Err(error) => shared.note(format!("{what}: {error}"), true),
@@ -172,8 +183,9 @@ impl Link {
         });
     }
 
-    /// Open the loop and park, past everything that waits. Also ends a probe run.
+    /// Open the loop and park, past everything that waits, and is then not done any more. Also ends a probe run.
     pub fn stop(&self) {
+        self.shared.stops.fetch_add(1, Ordering::AcqRel);
         self.shared.run_stop.store(true, Ordering::Release);
         let shared = self.shared.clone();
         std::thread::spawn(move || {
@@ -281,5 +293,43 @@ impl Drop for Link {
         for thread in self.threads.drain(..) {
             let _ = thread.join();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::{Duration, Instant};
+    use telemetry::Target;
+
+    fn until(what: &str, is_so: impl Fn() -> bool) {
+        let start = Instant::now();
+        while !is_so() {
+            assert!(start.elapsed() < Duration::from_secs(20), "{what}");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    #[test]
+    fn what_waits_when_a_stop_comes_does_not_arm_the_board_after_it() {
+        let board = Target::Virtual(Default::default());
+        let link = Link::start(&Source::Board(board), 1.0).unwrap();
+        until("connected", || link.is_connected());
+        let said = |words: &str| link.log().iter().any(|line| line.text.contains(words));
+        let (go, wait) = mpsc::channel();
+        link.queue(move |_| {
+            let _ = wait.recv();
+        });
+        link.send("arm", vec![Command::Arm]);
+        link.stop();
+        until("stopped", || said("stop: the drives return"));
+        go.send(()).unwrap();
+        until("dropped", || said("arm: not done, stopped"));
+        let status = link.shared.with_device(|device| device.command(Command::Status));
+        let Ok(Reply::Status(status)) = status else { panic!("{status:?}") };
+        assert_eq!(flexstage::Flags(status.flags).state(), flexstage::State::Off);
+        // What is asked for after it is done.
+        link.send("arm", vec![Command::Arm]);
+        until("armed", || said("arm: from tick"));
     }
 }

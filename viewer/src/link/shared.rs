@@ -36,6 +36,8 @@ pub struct Shared {
     /// A probe run or a measurement drives the board.
     pub(super) run_active: AtomicBool,
     pub(super) run_stop: AtomicBool,
+    /// Stops that were asked for: what was asked for before the last one is not done any more.
+    pub(super) stops: AtomicU64,
     /// The diagnosis that runs is given up.
     pub(super) diagnosis_stop: AtomicBool,
     pub(super) quit: AtomicBool,
@@ -62,6 +64,7 @@ impl Shared {
             measured: Mutex::default(),
             run_active: AtomicBool::new(false),
             run_stop: AtomicBool::new(false),
+            stops: AtomicU64::new(0),
             diagnosis_stop: AtomicBool::new(false),
             quit: AtomicBool::new(false),
             generation: AtomicU64::new(0),
