@@ -7,7 +7,8 @@ use std::time::Duration;
 use flexstage::link::Deframer;
 use flexstage::link::message::{self, Command, Reply};
 use flexstage::{Flags, Settings};
-use telemetry::probe::{self, Experiment, Length};
+use telemetry::probe::waveform::Waveform;
+use telemetry::probe::{self, Experiment, Length, Mode, Phase};
 use telemetry::transport::Transport;
 use telemetry::virtual_board::{Options, Speed, VirtualBoard};
 use telemetry::{Device, Error, Result, Target};
@@ -152,4 +153,42 @@ fn a_folder_with_files_is_not_touched() {
     let error = probe::run(&device, &plan, &options.axes, "", folder.path(), &stop, &mut |_| {})
         .unwrap_err();
     assert!(error.to_string().contains("empty folder"), "{error}");
+}
+
+#[test]
+fn nothing_between_recordings_goes_beyond_them() {
+    // A stack remembers the farthest that it was driven. Edges of 4 V a tick: what a wave coasts on with would be tens of volts.
+    let wave =
+        Waveform::Square { low_v: 20.0, high_v: 40.0, frequency_hz: 700.0, slope_v_per_ms: 40.0 };
+    let ramp = Waveform::Ramp { to_v: 30.0, duration_s: 0.1 };
+    let phases = || {
+        vec![
+            Phase { at_s: 0.0, moves: vec![(1, ramp.clone())] },
+            Phase { at_s: 0.15, moves: vec![(1, wave.clone())] },
+        ]
+    };
+    let plan: Vec<Experiment> = (0..6)
+        .map(|n| Experiment {
+            name: format!("wave-{n}"),
+            condition_v: 0.0,
+            phases: phases(),
+            duration_s: 0.3,
+            period_s: None,
+            table: None,
+        })
+        .collect();
+    let device = open();
+    let stream = device.subscribe();
+    let mut recorded = 0.0_f32;
+    let stop = AtomicBool::new(false);
+    let mut take = |_, recording: recording::Recording| {
+        recorded = recording.drive_v[1].iter().copied().fold(recorded, f32::max);
+        Ok(())
+    };
+    probe::capture(&device, &plan, &[1], Mode::OpenLoop, &stop, &mut |_| (), &mut take).unwrap();
+    drop(device);
+    let of =
+        |batch: telemetry::Batch| batch.samples.iter().map(|s| s.drive_v[1]).fold(0.0, f32::max);
+    let farthest = stream.iter().map(of).fold(0.0, f32::max);
+    assert!(recorded > 35.0 && farthest < recorded + 0.1, "{farthest} V, recorded {recorded} V");
 }

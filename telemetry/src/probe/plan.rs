@@ -298,7 +298,7 @@ mod tests {
             for experiment in &plan {
                 for (axis, waveform) in experiment.phases.iter().flat_map(|p| &p.moves) {
                     let (scale, origin) = scale_um_per_v(&Settings::default(), *axis);
-                    let generator = waveform.generator(scale, origin);
+                    let generator = waveform.generator(scale, origin, 1.0);
                     flexstage::Generator::build(&generator)
                         .unwrap_or_else(|e| panic!("{}: {e}", experiment.name));
                 }

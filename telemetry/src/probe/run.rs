@@ -226,10 +226,10 @@ impl Runner<'_> {
         // late makes an experiment longer, never cuts it short.
         let mut first = None;
         if experiment.condition_v > 0.0 {
-            let up_at = self.start(&up)?;
+            let up_at = self.start(&up, 0.0)?;
             first = Some(up_at);
             self.until_tick(up_at + self.ticks(CONDITION_S * 0.4), up_at, seconds)?;
-            let down_at = self.start(&down)?;
+            let down_at = self.start(&down, 0.0)?;
             self.until_tick(down_at + self.ticks(CONDITION_S * 0.6), up_at, seconds)?;
         }
         let mut begin = None;
@@ -239,7 +239,7 @@ impl Runner<'_> {
                 let due = last_at + self.ticks(phase.at_s - last_s);
                 self.until_tick(due, first.unwrap_or(due), seconds)?;
             }
-            last_at = self.start(&phase.moves)?;
+            last_at = self.start(&phase.moves, experiment.duration_s - phase.at_s)?;
             last_s = phase.at_s;
             begin = begin.or(Some(last_at));
         }
@@ -249,12 +249,14 @@ impl Runner<'_> {
         self.until_tick(end, first, seconds)?;
         let mut samples = self.captured.take().unwrap_or_default();
         samples.retain(|s| (first..end).contains(&s.tick));
+        // A stack remembers the farthest that it was driven, recorded or not.
+        self.until(end, "the waves to fade out", REST_S, |s| state(s) == State::Hold)?;
         self.come_to_rest(&down)?;
         Ok((samples, begin - first))
     }
 
     fn come_to_rest(&mut self, down: &[(usize, Waveform)]) -> Result<()> {
-        let begin = self.start(down)?;
+        let begin = self.start(down, 0.0)?;
         self.until(begin, "the stage to come to rest", REST_S, |s| state(s) == State::Hold)
     }
 
@@ -364,15 +366,15 @@ impl Runner<'_> {
         Ok(now.saturating_add_signed(i64::from(late as u32 as i32)))
     }
 
-    /// Start waveforms together; the tick at which they begin.
-    fn start(&mut self, moves: &[(usize, Waveform)]) -> Result<u64> {
+    /// Start waveforms together; the tick at which they begin. Waves end by themselves after `lasts_s` seconds.
+    fn start(&mut self, moves: &[(usize, Waveform)], lasts_s: f64) -> Result<u64> {
         let mut mask = 0;
         for (axis, waveform) in moves {
             let (scale, origin) = match self.mode {
                 Mode::OpenLoop => scale_um_per_v(&self.settings, *axis),
                 Mode::ClosedLoop => (1.0, 0.0),
             };
-            let generator = waveform.generator(scale, origin);
+            let generator = waveform.generator(scale, origin, lasts_s);
             self.command(Command::Stage { axis: *axis as u8, generator })?;
             mask |= 1 << axis;
         }

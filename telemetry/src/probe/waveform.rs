@@ -91,8 +91,9 @@ impl Waveform {
         }
     }
 
-    /// The generator that makes these volts on an axis that turns micrometres into volts by `scale` (um per volt).
-    pub fn generator(&self, scale: f64, origin_um: f64) -> GeneratorSettings {
+    /// The generator that makes these volts on an axis that turns micrometres into volts by `scale` (um per volt). A wave fades out towards
+    /// its centre after `lasts_s` seconds, within its range: what replaces a fast one by another at full speed coasts on far beyond that.
+    pub fn generator(&self, scale: f64, origin_um: f64, lasts_s: f64) -> GeneratorSettings {
         let um = |v: f64| (v * scale + origin_um) as f32;
         let size = |v: f64| (v * scale) as f32;
         let wave = |center_v: f64, amplitude_v: f64, frequency_hz: f64, phase_turns: f64| Wave {
@@ -101,7 +102,7 @@ impl Waveform {
             frequency_hz: frequency_hz as f32,
             phase_turns: phase_turns as f32,
             blend_s: 0.02,
-            duration_s: 0.0,
+            duration_s: lasts_s as f32,
         };
         let between =
             |low: f64, high: f64, hz: f64| wave((low + high) / 2.0, (high - low) / 2.0, hz, 0.75);
@@ -141,7 +142,7 @@ impl Waveform {
                     tones: 16,
                     seed,
                     blend_s: 0.1,
-                    duration_s: 0.0,
+                    duration_s: lasts_s as f32,
                 })
             }
         }
