@@ -1,6 +1,6 @@
 //! What a controller needs of a stage, identified from a session: gain and slip elements, amplifier, moving mass, creep.
 //!
-//! Other than [`crate::identify`], which refits the nominal parameters so that a simulation follows the recordings (output error), this
+//! Other than [`identify()`](crate::identify()), which refits the nominal parameters so that a simulation follows the recordings (output error), this
 //! fits the inverse that the controller computes, part by part, each by linear least squares on the parts of the session that
 //! show it:
 //!
