@@ -3,17 +3,18 @@
 
 use std::collections::BTreeMap;
 
+use host_sim::effects::Place;
 use host_sim::rig::Rig;
 use indicatif::ProgressBar;
 
 use crate::Error;
 use crate::accept::{self, AxisGapSize};
 use crate::ambiguity::{self, Standings};
-use crate::diagnosis::Band;
+use crate::diagnosis::{AxisGap, Band};
 use crate::energy::Energies;
 use crate::fit::{Effort, cost};
 use crate::guess::Ranges;
-use crate::knobs::EffectRef;
+use crate::knobs::{EffectRef, axes_seen};
 use crate::model::{Model, Term, knobs_of, start_terms};
 use crate::scene::{Channel, Scene, Stack, Wanted};
 use crate::select::{Breadth, Search};
@@ -282,11 +283,11 @@ pub(crate) fn abstain(
     let after = scene.raw(&found.model.fit.rig, everything)?;
     let whole = Energies::new(scene, raw_before, &after, &everything);
     let overall = whole.gap(axes).closed;
-    let trusted: Vec<bool> = accept::closed_by_axis(&whole, axes)
-        .iter()
-        .zip(gaps)
-        .map(|(closed, gap)| !gap.counts || closed.is_none_or(accept::names))
-        .collect();
+    let has_laws = |axis: usize| {
+        let terms = &found.model.terms;
+        terms.iter().any(|t| accept::has_many_laws(t.name()) && reaches(rig, t, axis))
+    };
+    let trusted = accept::trusted(&whole, gaps, has_laws);
     let abstained: Vec<String> =
         (0..axes).filter(|&a| !trusted[a]).map(|a| (a + 1).to_string()).collect();
     if !abstained.is_empty() {
@@ -296,8 +297,35 @@ pub(crate) fn abstain(
         ));
     }
     let loud: Vec<bool> = gaps.iter().map(|g| g.counts).collect();
+    let proxies = proxies(rig, &found.model, &trusted, &whole.gap(axes).per_axis);
+    if !proxies.is_empty() {
+        keep(rig, &mut found, |term, _| !proxies.contains(&term.name()))?;
+        notes.push(format!(
+            "{} would close the gap on some axes, but not on those where more of it lies, and is not named on any.",
+            proxies.join(" and ")
+        ));
+    }
     restrict(rig, &mut found, &trusted, &loud)?;
     Ok((!found.model.terms.is_empty() && overall >= LEAST_OVERALL).then_some(found))
+}
+
+/// Whether a term changes what is measured on an axis.
+fn reaches(rig: &Rig, term: &Term, axis: usize) -> bool {
+    let seen = |&place: &Place| axes_seen(rig, term.effect, place);
+    term.places.iter().any(|place| seen(place) >> axis & 1 == 1)
+}
+
+/// Effects whose axes that are not trusted hold more of the gap than those that are: what passes for something else here is not believed there.
+fn proxies(rig: &Rig, model: &Model, trusted: &[bool], gaps: &[AxisGap]) -> Vec<&'static str> {
+    let is_proxy = |term: &&Term| {
+        let mut energy = [0.0; 2];
+        for gap in gaps.iter().filter(|gap| reaches(rig, term, gap.axis - 1)) {
+            let own = (gap.before_nm.powi(2) - gap.floor_nm.powi(2)).max(0.0);
+            energy[usize::from(trusted[gap.axis - 1])] += own;
+        }
+        energy[0] > energy[1]
+    };
+    model.terms.iter().filter(is_proxy).map(Term::name).collect()
 }
 
 /// Keep only the places that act on trusted axes and reach an axis with a gap: what takes a little noise off a quiet axis is no cause.

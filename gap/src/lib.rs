@@ -15,6 +15,7 @@ pub mod diagnose;
 pub mod diagnosis;
 pub mod energy;
 mod error;
+mod few;
 pub mod fit;
 pub mod floor;
 mod found;

@@ -8,6 +8,7 @@ use host_sim::effects::Place;
 use host_sim::rig::Rig;
 
 use crate::Error;
+use crate::few::{Few, Line};
 use crate::fit::{Effort, Sensitivities, cost, fit};
 use crate::guess::Ranges;
 use crate::knobs::{EffectRef, Knob, is_plain};
@@ -57,6 +58,8 @@ const CLOSED: f64 = 0.002;
 const AS_LITTLE: f64 = 0.1;
 /// Share of the gain that is needed which a partner must promise by linear prediction to be fitted.
 const PROMISE: f64 = 0.3;
+/// ... a third one: beside two that were fitted, little is left that is not a straight line.
+const PROMISE_OF_THIRD: f64 = 0.5;
 
 /// The search: scene, nominal rig, screen of the catalogue and what the whole gap costs.
 pub struct Search<'a> {
@@ -80,6 +83,8 @@ pub struct Search<'a> {
     pub breadth: Breadth,
     /// Bit mask of the axes where something is missing.
     loud: u32,
+    /// Recordings that tell most models from the right one.
+    pub(crate) few: Option<Few>,
     pub(crate) include: &'a (dyn Fn(&Channel) -> bool + Sync),
     tick: &'a (dyn Fn() + Sync),
 }
@@ -98,6 +103,7 @@ impl<'a> Search<'a> {
         let noise = scene.noise_on(&base, u32::MAX);
         let gap = cost(&base) - noise;
         let loud = crate::accept::loud_axes(scene, &base);
+        let few = Few::new(scene, &base, loud);
         let screen = screen(scene, nominal, (&base, loud), effects, ranges, include, tick)?;
         Ok(Self {
             scene,
@@ -110,6 +116,7 @@ impl<'a> Search<'a> {
             ranges: ranges.clone(),
             breadth: Breadth::FULL,
             loud,
+            few,
             include,
             tick,
         })
@@ -181,7 +188,7 @@ impl<'a> Search<'a> {
     }
 
     /// Cost that one more effect must remove where `leftover` is left.
-    fn worth_of_further(&self, leftover: f64) -> f64 {
+    pub(crate) fn worth_of_further(&self, leftover: f64) -> f64 {
         let fair = (WORTH_OF_LEFTOVER * leftover).max(WORTH_OF_GAP * self.gap);
         // A small effect beside a large one: it must account for nearly all that the large one leaves.
         let rest = (NEARLY_ALL * leftover).max(0.1 * WORTH_OF_GAP * self.gap);
@@ -197,6 +204,12 @@ impl<'a> Search<'a> {
         saved > WORTH_ABSOLUTE
             && closed > WORTH_OF_LEFTOVER * before
             && closed > WORTH_OF_GAP * whole
+    }
+
+    /// Whether a model that leaves `there` of some recordings may do so even if it leaves nothing of the others.
+    pub(crate) fn may_close_much(&self, smaller: &Model, there: &Stack) -> bool {
+        let before = self.scene.excess(&smaller.fit.stack);
+        before - self.scene.excess(there) > WORTH_OF_LEFTOVER * before
     }
 
     /// Cost that another effect must remove in place of one, where `leftover` is left.
@@ -228,7 +241,8 @@ impl<'a> Search<'a> {
             let names: Vec<&str> = start.terms.iter().map(Term::name).collect();
             for (effect, gains) in self.shortlist(&gains, &names, self.breadth.partners) {
                 let promised: f64 = gains.iter().map(|g| g.gain).sum();
-                if promised < PROMISE * (start.fit.cost - wanted) {
+                let share = if size > 1 { PROMISE_OF_THIRD } else { PROMISE };
+                if promised < share * (start.fit.cost - wanted) {
                     continue;
                 }
                 let mut key = start.key();
@@ -371,6 +385,10 @@ impl<'a> Search<'a> {
             best.max(self.noise + 0.02 * self.gap) + 0.05 * (best - self.noise).max(0.0)
         };
         let effort = Effort { iterations: 8, tolerance: 2.0e-2, hopeless, ..self.effort() };
+        let line = if known.is_empty() { Line::ALONE } else { Line::BESIDE };
+        if let Some(values) = self.hopeless_on_few(&terms, &start, effort, line)? {
+            return self.fit_model(terms, values, Effort { iterations: 0, ..effort });
+        }
         let model = self.fit_model(terms, start, effort)?;
         self.even_out(model, effort)
     }
