@@ -87,15 +87,26 @@ pub fn session_of(
 /// What is said of a case of the truth generator, which shares no code with the catalogue. `of`: what it was drawn for; the generator is
 /// free to change, and then another case has to be chosen.
 pub fn drawn(seed: u64, index: u64, of: &[&str]) -> Diagnosis {
-    diagnosed_case((seed, index), &Draw { other_rigs: true, ..Draw::default() }, of)
+    diagnosed_case((seed, index), &Draw { other_rigs: true, ..Draw::default() }, of, &[])
+}
+
+/// The same with this effect taken out of the catalogue.
+pub fn drawn_without(seed: u64, index: u64, effect: &str) -> Diagnosis {
+    let draw = Draw { other_rigs: true, ..Draw::default() };
+    diagnosed_case((seed, index), &draw, &[effect], &[effect.to_string()])
 }
 
 /// The same, on the paper's rig.
 pub fn drawn_of_the_paper(seed: u64, index: u64, of: &[&str]) -> Diagnosis {
-    diagnosed_case((seed, index), &Draw::default(), of)
+    diagnosed_case((seed, index), &Draw::default(), of, &[])
 }
 
-fn diagnosed_case((seed, index): (u64, u64), draw: &Draw, of: &[&str]) -> Diagnosis {
+fn diagnosed_case(
+    (seed, index): (u64, u64),
+    draw: &Draw,
+    of: &[&str],
+    exclude: &[String],
+) -> Diagnosis {
     let mut case = Case::draw(seed, index, draw);
     let truth: Vec<&str> = case.label.truth.iter().map(|t| t.effect.as_str()).collect();
     assert_eq!(truth, of, "seed {seed}, case {index} is another one now: choose a new one");
@@ -105,7 +116,8 @@ fn diagnosed_case((seed, index): (u64, u64), draw: &Draw, of: &[&str]) -> Diagno
     let case = folder.path().join("case");
     let rig = Rig::load(&case.join("rig.toml")).expect("rig");
     let session = Session::read(case.join("session"), None).expect("session");
-    diagnose(&rig, &session, &Options::default()).expect("a diagnosis").diagnosis
+    let options = Options { exclude: exclude.to_vec(), ..Options::default() };
+    diagnose(&rig, &session, &options).expect("a diagnosis").diagnosis
 }
 
 /// Effects and axes that are named.

@@ -1,0 +1,20 @@
+//! Effects that are not in the catalogue, taken out of it, must not be called by their neighbours' names.
+
+use gap::diagnosis::Verdict;
+
+mod common;
+
+use common::{causes, drawn_without};
+
+#[test]
+fn without_dead_times_a_delay_is_no_slow_amplifier() {
+    // A slow amplifier closes 0.93 of this gap; a right one would close 0.99.
+    let diagnosis = drawn_without(2424, 38, "drive-delay");
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Unexplained, vec![]));
+}
+
+#[test]
+fn without_offsets_a_shifted_gauge_is_none_that_drifts() {
+    let diagnosis = drawn_without(2424, 67, "sensor-offset");
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Unexplained, vec![]));
+}
