@@ -13,7 +13,7 @@ use crate::select::Search;
 /// Cost difference below which noise alone could have decided: three standard deviations and the freedom of the rival.
 pub(crate) const NOISE_MARGIN: f64 = 25.0;
 /// A rival that leaves no more than this multiple of what the chosen model leaves is not told apart: a misfit of that size is a
-/// matter of form, not of kind.
+/// matter of form, not of kind. Where it saves less than it leaves, of what it saves.
 const LEFTOVER_MARGIN: f64 = 0.5;
 /// Most rivals that are worth naming.
 const MOST_RIVALS: usize = 2;
@@ -65,6 +65,7 @@ fn standing(search: &Search, model: &Model, term: usize) -> Standing {
     let mut others = model.key();
     others.retain(|n| *n != name);
     let left = (model.fit.cost - search.noise).max(0.0);
+    let saved = (search.gap - left).max(0.0);
     let mut weight = 1.0;
     let mut rivals: Vec<(f64, &'static str, Model)> = Vec::new();
     let mut seen: Vec<&str> = Vec::new();
@@ -82,7 +83,7 @@ fn standing(search: &Search, model: &Model, term: usize) -> Standing {
         seen.push(instead.name());
         let behind = rival.fit.cost - model.fit.cost;
         weight += (-behind.max(0.0) / (2.0 * (1.0 + left / 12.0))).exp();
-        if behind < NOISE_MARGIN + LEFTOVER_MARGIN * left {
+        if behind < NOISE_MARGIN + LEFTOVER_MARGIN * left.min(saved) {
             rivals.push((behind, instead.name(), rival.clone()));
         }
     }

@@ -141,10 +141,10 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
     let mut wanted: Vec<Option<Vec<f64>>> = Vec::new();
     match info.name {
         "amplifier-clipping" => {
-            for share in [0.97, 0.9, 0.8, 0.65] {
+            for share in [0.99, 0.97, 0.9, 0.8, 0.65, 0.5] {
                 wanted.push(with(&[("max_v", low + share * (high - low))]));
             }
-            for share in [0.03, 0.1, 0.25] {
+            for share in [0.006, 0.02, 0.06, 0.15, 0.3] {
                 wanted.push(with(&[("min_v", low + share * (high - low))]));
             }
         }
@@ -278,6 +278,19 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             for ticks in [1.0, 4.0, 16.0] {
                 wanted.push(with(&[("delay_s", ticks * typical("delay_s"))]));
             }
+        }
+        "sensor-bandwidth" => {
+            // Nor does a fast conditioner tell what one slower than the amplifier does to edges.
+            for times in [1.0, 5.0, 25.0] {
+                let seconds = times * typical("time_constant_s");
+                wanted.push(with(&[("time_constant_s", seconds)]));
+            }
+        }
+        "amplifier-bandwidth" => {
+            for ratio in [typical("ratio"), 4.0] {
+                wanted.push(with(&[("ratio", ratio)]));
+            }
+            wanted.push(with(&[("further_pole", typical("further_pole"))]));
         }
         "friction" => {
             for metres in [0.003, 0.03, 0.2] {

@@ -67,6 +67,12 @@ impl Model {
         names
     }
 
+    /// How many numbers it has that a fit is free in and that are not merely a variety of its law.
+    pub(crate) fn numbers(&self) -> usize {
+        let counts = |knob: &&Knob| !knob.is_frozen() && !knob.is_variety();
+        self.fit.knobs.iter().filter(counts).count()
+    }
+
     /// Number of knobs that a term has.
     pub(crate) fn knob_range(&self, term: usize) -> std::ops::Range<usize> {
         let size = |t: &Term| t.places.len() * t.effect.info().parameters.len();

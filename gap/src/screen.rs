@@ -46,6 +46,8 @@ pub struct Gain {
     pub gain: f64,
     /// Parameter values to start a fit from.
     pub start: Vec<f64>,
+    /// What each knob of the model beside it moves by then, in internal steps; empty without a model.
+    pub shift: Vec<f64>,
 }
 
 /// Simulate every effect of `effects` in `rig`, whose residuals are `base`. Places that only reach axes outside the mask beside
@@ -164,6 +166,7 @@ impl Screen {
                     known.gain += gain.gain;
                     known.start[0] += gain.start[0];
                     known.start[1] += gain.start[1];
+                    known.shift.iter_mut().zip(&gain.shift).for_each(|(k, s)| *k += s);
                 } else {
                     best[effect].push(gain);
                 }
@@ -202,6 +205,8 @@ impl Screen {
             along += dot(row, stack[*c].as_ref()?);
         }
         let mut energy = direction.energy;
+        // What the model moves by alone, and for each unit of the direction.
+        let mut room: Option<(DVector<f64>, DVector<f64>)> = None;
         if let Some(model) = model {
             let n = model.len();
             let mut matrix = DMatrix::<f64>::identity(n, n) * 1.0e-9;
@@ -224,11 +229,17 @@ impl Screen {
                 let solved = factor.solve(&cross);
                 along -= solved.dot(&gradient);
                 energy -= solved.dot(&cross);
+                room = Some((factor.solve(&gradient), solved));
             }
         }
         if energy < 1.0e-6 * direction.energy || energy <= 0.0 {
             return None;
         }
+        let shift = |amount: f64| -> Vec<f64> {
+            room.as_ref()
+                .map(|(alone, a_unit)| (-(alone + amount * a_unit)).as_slice().to_vec())
+                .unwrap_or_default()
+        };
         let effect = self.effects[direction.effect];
         let parameters = effect.info().parameters;
         let mut amount = -along / energy;
@@ -239,7 +250,12 @@ impl Screen {
             // What acts beyond a threshold does not scale: it is taken as it was simulated, or a part of it at most.
             amount = amount.clamp(0.0, 1.0);
             let gain = -amount * along * 2.0 - amount * amount * energy;
-            return (gain > 0.0).then_some(Gain { place: direction.place, gain, start });
+            return (gain > 0.0).then(|| Gain {
+                place: direction.place,
+                gain,
+                start,
+                shift: shift(1.0),
+            });
         }
         for (value, p) in start.iter_mut().zip(parameters) {
             if p.role == Role::Size && *value != p.zero {
@@ -263,10 +279,11 @@ impl Screen {
                     place: direction.place,
                     gain: whole,
                     start: direction.values.clone(),
+                    shift: shift(1.0),
                 });
             }
         }
         let gain = -amount * along * 2.0 - amount * amount * energy;
-        (gain > 0.0).then_some(Gain { place: direction.place, gain, start })
+        (gain > 0.0).then(|| Gain { place: direction.place, gain, start, shift: shift(amount) })
     }
 }

@@ -11,7 +11,7 @@ use crate::Error;
 use crate::few::{Few, Line};
 use crate::fit::{Effort, Sensitivities, cost, fit};
 use crate::guess::Ranges;
-use crate::knobs::{EffectRef, Knob, is_plain};
+use crate::knobs::{EffectRef, is_plain};
 use crate::model::{Model, Term, knobs_of, start_terms};
 use crate::scene::{Channel, Scene, Stack, Wanted};
 use crate::screen::{Gain, Screen, screen};
@@ -41,11 +41,15 @@ impl Breadth {
 /// Most effects in a model.
 pub const MOST_EFFECTS: usize = 3;
 /// A further effect must remove this share of what the model before it leaves.
-const WORTH_OF_LEFTOVER: f64 = 0.35;
+pub(crate) const WORTH_OF_LEFTOVER: f64 = 0.35;
 /// ... and this share of the whole gap (whitened).
 pub(crate) const WORTH_OF_GAP: f64 = 0.01;
 /// ... or nearly all of what is left, if it is less than that.
 const NEARLY_ALL: f64 = 0.7;
+/// ... or this share of what is left on an axis,
+const CLOSES_AXIS: f64 = 0.9;
+/// where that is more than this multiple of the noise energy.
+const CLEARLY: f64 = 1.0;
 /// ... and this much cost in all, against noise.
 pub(crate) const WORTH_ABSOLUTE: f64 = 60.0;
 /// The first effect must remove this share of the gap: three of less never make an explanation.
@@ -54,7 +58,7 @@ const WORTH_OF_FIRST: f64 = 0.05;
 const MOSTLY_OPEN: f64 = 0.5;
 /// Share of the gap below which no better start is looked for.
 const CLOSED: f64 = 0.002;
-/// A plainer model may leave this much more than the best one, of what that leaves.
+/// A plainer model may leave this much more than the best one, of what that leaves, or of what it saves.
 const AS_LITTLE: f64 = 0.1;
 /// Share of the gain that is needed which a partner must promise by linear prediction to be fitted.
 const PROMISE: f64 = 0.3;
@@ -136,6 +140,9 @@ impl<'a> Search<'a> {
             let model = self.fit_terms((&[], &self.base), effect, &gains)?;
             self.remember(model);
         }
+        for size in 2..=MOST_EFFECTS {
+            self.compose(size)?;
+        }
         let plain = self.select()?;
         self.with_any_loop(plain)
     }
@@ -144,15 +151,16 @@ impl<'a> Search<'a> {
     pub(crate) fn select(&mut self) -> Result<Option<Model>, Error> {
         let mut best: Option<Model> = None;
         for size in 1..=MOST_EFFECTS {
+            if size > 1 {
+                self.compose(size)?;
+            }
             let Some(candidate) = self.best_of(size) else { break };
-            let leftover = best.as_ref().map_or(self.gap, |b| b.fit.cost - self.noise);
-            let saved = leftover - (candidate.fit.cost - self.noise);
             let is_worth_it = match &best {
-                None => saved > WORTH_ABSOLUTE.max(WORTH_OF_FIRST * self.gap),
-                Some(best) => {
-                    saved > self.worth_of_further(leftover)
-                        || self.closes_much(best, &candidate, saved)
+                None => {
+                    let saved = self.gap - (candidate.fit.cost - self.noise);
+                    saved > WORTH_ABSOLUTE.max(WORTH_OF_FIRST * self.gap)
                 }
+                Some(best) => self.is_worth_more(best, &candidate),
             };
             if !is_worth_it {
                 break;
@@ -177,6 +185,7 @@ impl<'a> Search<'a> {
                 if model.key() != known {
                     model = self.swap(model)?;
                 }
+                let model = self.fewer(model)?;
                 let pruned = self.prune(model)?;
                 let (terms, start): (Vec<Term>, Vec<Vec<f64>>) =
                     start_terms(&pruned).into_iter().unzip();
@@ -185,6 +194,27 @@ impl<'a> Search<'a> {
             }
             None => Ok(None),
         }
+    }
+
+    /// Whether a model of one more effect is worth it. One that has each effect on fewer axes may even be the plainer one.
+    pub(crate) fn is_worth_more(&self, smaller: &Model, larger: &Model) -> bool {
+        let saved = smaller.fit.cost - larger.fit.cost;
+        saved > self.worth_of_further(smaller.fit.cost - self.noise)
+            || self.closes_much(smaller, larger, saved)
+            || self.closes_an_axis(smaller, larger, saved)
+            || (larger.numbers() <= smaller.numbers()
+                && saved > self.worth_of_change(smaller.fit.cost - self.noise))
+    }
+
+    /// Whether a model takes nearly everything off what a smaller one leaves on one axis, more than its noise. Beside a large effect on all
+    /// axes that is little.
+    fn closes_an_axis(&self, smaller: &Model, larger: &Model, saved: f64) -> bool {
+        let [before, after] =
+            [smaller, larger].map(|m| crate::accept::gaps(self.scene, &m.fit.stack));
+        saved > WORTH_ABSOLUTE
+            && before.iter().zip(&after).any(|(before, after)| {
+                before.ratio > CLEARLY && after.ratio < (1.0 - CLOSES_AXIS) * before.ratio
+            })
     }
 
     /// Cost that one more effect must remove where `leftover` is left.
@@ -307,13 +337,12 @@ impl<'a> Search<'a> {
     /// The model of fewest numbers among those that leave about as little as the best one, of as many effects.
     fn plainest(&self, best: Model) -> Model {
         let left = (best.fit.cost - self.noise).max(0.0);
-        let most = best.fit.cost + crate::ambiguity::NOISE_MARGIN + AS_LITTLE * left;
+        let saved = (self.gap - left).max(0.0);
+        let most = best.fit.cost + crate::ambiguity::NOISE_MARGIN + AS_LITTLE * left.min(saved);
         let is_rival = |m: &&Model| m.terms.len() == best.terms.len() && m.fit.cost < most;
-        let counts = |knob: &&Knob| !knob.is_frozen() && !knob.is_variety();
-        let numbers = |m: &Model| m.fit.knobs.iter().filter(counts).count();
-        let plainest = self.tried.iter().filter(is_rival).min_by_key(|m| numbers(m));
+        let plainest = self.tried.iter().filter(is_rival).min_by_key(|m| m.numbers());
         match plainest {
-            Some(plain) if numbers(plain) < numbers(&best) => plain.clone(),
+            Some(plain) if plain.numbers() < best.numbers() => plain.clone(),
             _ => best,
         }
     }
@@ -353,7 +382,6 @@ impl<'a> Search<'a> {
         gains: &[Gain],
     ) -> Result<Model, Error> {
         let mut terms: Vec<Term> = known.iter().map(|(t, _)| t.clone()).collect();
-        let mut start: Vec<f64> = known.iter().flat_map(|(_, v)| v.iter().copied()).collect();
         let mut places: Vec<Place> = gains.iter().map(|g| g.place).collect();
         let starts = gains.iter().map(|g| g.start.clone()).collect();
         // Where another effect accounts for nearly all, no frequency that a screen missed will do better.
@@ -363,7 +391,7 @@ impl<'a> Search<'a> {
         } else {
             self.tuned((known, left), effect, &places, starts)?
         };
-        start.extend(starts.concat());
+        let mut start = self.joint_start(known, effect, gains, &starts)?;
         // An axis where no setting of the screen came near enough to gain anything starts from what suits the others best;
         // pruning takes it out again if it needs none.
         if let Some(best) = gains.iter().max_by(|a, b| a.gain.total_cmp(&b.gain))
