@@ -23,15 +23,18 @@ struct Part {
 }
 
 impl Search<'_> {
-    /// Fit the composition of exactly `size` effects that promises to leave least, if that is less than the best model of them leaves.
+    /// Fit the composition of exactly `size` effects that promises to leave least, if that is less than the best model of as many or fewer
+    /// leaves.
     pub(crate) fn compose(&mut self, size: usize) -> Result<(), Error> {
         let parts: Vec<Vec<Part>> =
             (0..self.nominal.axes.len()).map(|axis| self.parts(axis, size)).collect();
         let Some((price, picked)) = cheapest(&parts, size) else { return Ok(()) };
-        let known = self.best_of(size).map_or(f64::INFINITY, |best| {
+        let price_of = |best: Model| {
             let terms: usize = best.terms.iter().map(|t| t.places.len()).sum();
             best.fit.cost + NOISE_MARGIN * terms as f64
-        });
+        };
+        let known = (1..=size).filter_map(|n| self.best_of(n)).map(price_of);
+        let known = known.fold(f64::INFINITY, f64::min);
         if price >= known - NOISE_MARGIN {
             return Ok(());
         }
@@ -53,6 +56,16 @@ impl Search<'_> {
         let model = self.fit_model(terms, start.concat(), effort)?;
         self.remember(model);
         Ok(())
+    }
+
+    /// Whether a model of these effects was fitted that has all of them on one axis at least: a composition of what suits different axes
+    /// says nothing of how they do beside each other.
+    pub(crate) fn is_tried(&self, key: &[&str]) -> bool {
+        let together = |m: &Model| {
+            let on = |axis: usize| m.terms.iter().all(|term| term.axes().contains(&axis));
+            (0..self.nominal.axes.len()).any(on)
+        };
+        self.tried.iter().any(|m| m.key() == key && together(m))
     }
 
     /// What models of at most `size` effects do on an axis, the best one of each set of effects.

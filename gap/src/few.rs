@@ -102,6 +102,12 @@ impl Few {
 }
 
 impl Search<'_> {
+    /// Whether a channel is one of few recordings, or of any where there are none.
+    pub(crate) fn is_of_few(&self, channel: &Channel) -> bool {
+        let is_there = |few: &Few| few.tracks.contains(&channel.track);
+        (self.include)(channel) && self.few.as_ref().is_none_or(is_there)
+    }
+
     /// Values of a fit of `terms` to few recordings alone, if they leave so much there that nothing will come of the model. What they
     /// are fitted to so narrowly is no start for a fit to all recordings: that begins where this one did.
     pub(crate) fn hopeless_on_few(

@@ -37,7 +37,7 @@ impl Search<'_> {
             for t in 0..size {
                 let name = rival.terms[t].name();
                 let key: Vec<&str> = rival.key().into_iter().filter(|n| *n != name).collect();
-                if self.tried.iter().any(|m| m.key() == key) || self.carries_much(&rival, t)? {
+                if self.is_tried(&key) || self.carries_much(&rival, t)? {
                     continue;
                 }
                 let (terms, start): (Vec<Term>, Vec<Vec<f64>>) =

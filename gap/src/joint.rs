@@ -12,7 +12,7 @@ use crate::Error;
 use crate::fit::{from_step, rig_with, to_step};
 use crate::knobs::EffectRef;
 use crate::model::{Term, knobs_of};
-use crate::scene::{Stack, Wanted};
+use crate::scene::{Channel, Stack, Wanted};
 use crate::screen::Gain;
 use crate::select::Search;
 
@@ -57,10 +57,9 @@ impl Search<'_> {
             .iter()
             .map(|values| rig_with(self.nominal, &knobs, values))
             .collect::<Result<_, _>>()?;
-        let left: Vec<Option<Stack>> = rigs
-            .iter()
-            .map(|rig| self.scene.residuals_at(rig, Wanted::ALL, self.include).ok())
-            .collect();
+        let few = |c: &Channel| self.is_of_few(c);
+        let left: Vec<Option<Stack>> =
+            rigs.iter().map(|rig| self.scene.residuals_at(rig, Wanted::ALL, &few).ok()).collect();
         let on_axis = |stack: &Option<Stack>, axis: usize| {
             stack.as_ref().map_or(f64::INFINITY, |stack| self.scene.cost_on(stack, 1 << axis))
         };

@@ -45,6 +45,7 @@ mod spectra;
 pub mod split;
 mod steady;
 mod strangers;
+mod swap;
 mod threshold;
 mod trade;
 

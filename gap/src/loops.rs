@@ -88,32 +88,36 @@ impl Search<'_> {
                 break;
             }
         }
-        let noise = self.noise;
-        let left = |m: &Model| (m.fit.cost - noise).max(0.0);
-        let any = if is_another_law { self.select()? } else { None };
-        let is_better = match (&any, &plain) {
-            (Some(any), None) => any.key().contains(&LOOP),
-            (Some(any), Some(plain)) => {
-                let (few, many) = (any.terms.len(), plain.terms.len());
-                let has_friction = |m: &Model| m.key().contains(&FRICTION);
-                let share = if few >= many || places(any) > places(plain) {
-                    MUCH_LESS
-                } else if has_friction(plain) && !has_friction(any) {
-                    AS_FURTHER
-                } else {
-                    AS_LITTLE
-                };
-                let suffices = left(any) < share * left(plain);
-                any.key().contains(&LOOP) && suffices
+        if is_another_law {
+            let any = self.select()?;
+            // What is added to a loop of any law may not be worth it, and the loop by itself be.
+            let most = any.as_ref().map_or(0, |any| any.terms.len());
+            let smaller: Vec<Model> = (1..most).rev().filter_map(|n| self.best_of(n)).collect();
+            let is_better = |any: &Model| self.is_better_loop(any, plain.as_ref());
+            if let Some(any) = any.into_iter().chain(smaller).find(is_better) {
+                return Ok(Some(any));
             }
-            (None, _) => false,
-        };
-        if is_better {
-            return Ok(any);
         }
         self.tried = known;
         self.ranges.any_loop = false;
         Ok(plain)
+    }
+
+    /// Whether a model with a loop of any law takes the place of one with a plain loop at most.
+    fn is_better_loop(&self, any: &Model, plain: Option<&Model>) -> bool {
+        let left = |m: &Model| (m.fit.cost - self.noise).max(0.0);
+        let has = |m: &Model, name| m.key().contains(&name);
+        let suffices = plain.is_none_or(|plain| {
+            let share = if any.terms.len() >= plain.terms.len() || places(any) > places(plain) {
+                MUCH_LESS
+            } else if has(plain, FRICTION) && !has(any, FRICTION) {
+                AS_FURTHER
+            } else {
+                AS_LITTLE
+            };
+            left(any) < share * left(plain)
+        });
+        has(any, LOOP) && suffices
     }
 
     /// Cost beyond noise of a stack on the axes in a mask.

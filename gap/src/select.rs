@@ -11,7 +11,7 @@ use crate::Error;
 use crate::few::{Few, Line};
 use crate::fit::{Effort, Sensitivities, cost, fit};
 use crate::guess::Ranges;
-use crate::knobs::{EffectRef, is_plain};
+use crate::knobs::EffectRef;
 use crate::model::{Model, Term, knobs_of, start_terms};
 use crate::scene::{Channel, Scene, Stack, Wanted};
 use crate::screen::{Gain, Screen, screen};
@@ -26,9 +26,9 @@ pub struct Breadth {
     /// Partners that are fitted for each of them.
     partners: usize,
     /// Effects that are tried in the place of each one of the model chosen.
-    swaps: usize,
+    pub(crate) swaps: usize,
     /// ... and how many of a single parameter beside them.
-    plain: usize,
+    pub(crate) plain: usize,
 }
 
 impl Breadth {
@@ -58,10 +58,8 @@ const WORTH_OF_FIRST: f64 = 0.05;
 const MOSTLY_OPEN: f64 = 0.5;
 /// Share of the gap below which no better start is looked for.
 const CLOSED: f64 = 0.002;
-/// A plainer model may leave this much more than the best one, of what that leaves, or of what it saves.
-const AS_LITTLE: f64 = 0.1;
 /// Share of the gain that is needed which a partner must promise by linear prediction to be fitted.
-const PROMISE: f64 = 0.3;
+pub(crate) const PROMISE: f64 = 0.3;
 /// ... a third one: beside two that were fitted, little is left that is not a straight line.
 const PROMISE_OF_THIRD: f64 = 0.5;
 
@@ -211,9 +209,16 @@ impl<'a> Search<'a> {
     fn closes_an_axis(&self, smaller: &Model, larger: &Model, saved: f64) -> bool {
         let [before, after] =
             [smaller, larger].map(|m| crate::accept::gaps(self.scene, &m.fit.stack));
+        // What an effect of another law leaves is its own.
+        let is_of_one_law = |axis: usize| {
+            let mut here = smaller.terms.iter().filter(|term| term.axes().contains(&axis));
+            here.all(|term| !crate::accept::has_many_laws(term.name()))
+        };
         saved > WORTH_ABSOLUTE
-            && before.iter().zip(&after).any(|(before, after)| {
-                before.ratio > CLEARLY && after.ratio < (1.0 - CLOSES_AXIS) * before.ratio
+            && before.iter().zip(&after).enumerate().any(|(axis, (before, after))| {
+                before.ratio > CLEARLY
+                    && after.ratio < (1.0 - CLOSES_AXIS) * before.ratio
+                    && is_of_one_law(axis)
             })
     }
 
@@ -278,7 +283,7 @@ impl<'a> Search<'a> {
                 let mut key = start.key();
                 key.push(effect.info().name);
                 key.sort_unstable();
-                if self.tried.iter().any(|m| m.key() == key) {
+                if self.is_tried(&key) {
                     continue;
                 }
                 let known = (&start_terms(&start)[..], &start.fit.stack);
@@ -287,64 +292,6 @@ impl<'a> Search<'a> {
             }
         }
         Ok(())
-    }
-
-    /// Try others in the place of each effect of a model of several. An effect that was fitted alone, or beside a wrong one, made
-    /// up for what it lacked: what suits best beside it may only show once it has found its own size.
-    fn swap(&mut self, model: Model) -> Result<Model, Error> {
-        let size = model.terms.len();
-        if size < 2 {
-            return Ok(self.plainest(model));
-        }
-        let names = model.key();
-        for t in 0..size {
-            let mut others = start_terms(&model);
-            others.remove(t);
-            let (terms, values): (Vec<Term>, Vec<Vec<f64>>) = others.iter().cloned().unzip();
-            let rig = model.without(self.nominal, t, |_| true)?;
-            let stack = self.scene.residuals_at(&rig, Wanted::ALL, self.include)?;
-            let sensitivities = Sensitivities::at(
-                self.scene,
-                self.nominal,
-                &knobs_of(&terms, &self.ranges),
-                &values.concat(),
-                &stack,
-                self.include,
-            )?;
-            let gains = self.screen.test(self.scene, &stack, Some(&sensitivities));
-            let needed = cost(&stack) - model.fit.cost;
-            let mut offers = self.shortlist(&gains, &names, usize::MAX);
-            let plain = offers.split_off(offers.len().min(self.breadth.swaps)).into_iter();
-            // An effect of many forms promises more than the plain one whose form it takes on here.
-            let plain = plain.filter(|(effect, _)| is_plain(*effect));
-            offers.extend(plain.take(self.breadth.plain));
-            for (effect, gains) in offers {
-                if gains.iter().map(|g| g.gain).sum::<f64>() < PROMISE * needed {
-                    continue;
-                }
-                let mut key: Vec<&str> = terms.iter().map(Term::name).collect();
-                key.push(effect.info().name);
-                key.sort_unstable();
-                if self.tried.iter().all(|m| m.key() != key) {
-                    let model = self.fit_terms((&others, &stack), effect, &gains)?;
-                    self.remember(model);
-                }
-            }
-        }
-        Ok(self.best_of(size).map_or(model, |best| self.plainest(best)))
-    }
-
-    /// The model of fewest numbers among those that leave about as little as the best one, of as many effects.
-    fn plainest(&self, best: Model) -> Model {
-        let left = (best.fit.cost - self.noise).max(0.0);
-        let saved = (self.gap - left).max(0.0);
-        let most = best.fit.cost + crate::ambiguity::NOISE_MARGIN + AS_LITTLE * left.min(saved);
-        let is_rival = |m: &&Model| m.terms.len() == best.terms.len() && m.fit.cost < most;
-        let plainest = self.tried.iter().filter(is_rival).min_by_key(|m| m.numbers());
-        match plainest {
-            Some(plain) if plain.numbers() < best.numbers() => plain.clone(),
-            _ => best,
-        }
     }
 
     /// Best effects by predicted gain, with the places that are worth fitting.

@@ -1,0 +1,54 @@
+//! Two effects at once, of the truth generator, where each hides the other from a search that looks at one after the other.
+
+use gap::diagnosis::Verdict;
+
+mod common;
+
+use common::{causes, drawn};
+
+#[test]
+fn a_slow_gauge_is_found_beside_a_gain() {
+    // The gauge is slower than the drive's amplifier, which 50 us of its lag say little about.
+    let diagnosis = drawn(2626, 43, &["sensor-bandwidth", "drive-gain"]);
+    let named = vec![("sensor-bandwidth", &[3][..]), ("drive-gain", &[3])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+}
+
+#[test]
+fn a_clip_near_the_end_of_the_range_is_found_beside_a_delay() {
+    let diagnosis = drawn(2626, 35, &["amplifier-clipping", "drive-delay"]);
+    let named = vec![("amplifier-clipping", &[1, 2, 3][..]), ("drive-delay", &[3])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+}
+
+#[test]
+fn two_right_effects_are_preferred_to_three() {
+    // Stacks of another gain with other loops, and crosstalk, do as well.
+    let diagnosis = drawn(2626, 38, &["sensor-gain", "sensor-crosstalk"]);
+    let named = vec![("sensor-gain", &[1, 2, 3][..]), ("sensor-crosstalk", &[1, 2, 3])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+}
+
+#[test]
+fn a_gain_on_one_axis_is_found_beside_another_gain_on_all() {
+    let diagnosis = drawn(2424, 26, &["drive-gain", "piezo-gain"]);
+    assert_eq!(diagnosis.verdict, Verdict::Explained);
+    let found = causes(&diagnosis);
+    assert_eq!(found[0], ("piezo-gain", &[1, 2, 3][..]));
+    assert!(found[1].0 == "drive-gain" && found[1].1.contains(&3), "{found:?}");
+}
+
+#[test]
+fn axes_have_causes_of_their_own() {
+    let diagnosis = drawn(2222, 45, &["hysteresis-rate", "sensor-bandwidth"]);
+    let found = causes(&diagnosis);
+    assert!(found.contains(&("sensor-bandwidth", &[2][..])), "{found:?}");
+    assert!(found.contains(&("hysteresis-rate", &[1][..])), "{found:?}");
+}
+
+#[test]
+fn a_loop_of_another_law_needs_no_friction() {
+    let diagnosis = drawn(2828, 77, &["hysteresis-shape"]);
+    let named = vec![("hysteresis-shape", &[2][..])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+}
