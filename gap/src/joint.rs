@@ -59,7 +59,7 @@ impl Search<'_> {
             .collect::<Result<_, _>>()?;
         let few = |c: &Channel| self.is_of_few(c);
         let left: Vec<Option<Stack>> =
-            rigs.iter().map(|rig| self.scene.residuals_at(rig, Wanted::ALL, &few).ok()).collect();
+            rigs.iter().map(|rig| self.scene.residuals_at(rig, Wanted::ALL, few).ok()).collect();
         let on_axis = |stack: &Option<Stack>, axis: usize| {
             stack.as_ref().map_or(f64::INFINITY, |stack| self.scene.cost_on(stack, 1 << axis))
         };
