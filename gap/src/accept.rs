@@ -24,9 +24,8 @@ const EXPLAINS: f64 = 0.90;
 /// Below this share on an axis, the causes found there are taken for proxies of something else. Over 380 cases of the truth generator the
 /// right causes close 0.80 of every axis and more, but where next to nothing was held out.
 const PROXY: f64 = 0.78;
-
-/// The same where every cause on the axis has one law only: a gain is a gain. Over 700 cases right ones close 0.97 and more, but for one
-/// whose companion was not found; wandering dead times called delays, and the like, close 0.66 to 0.89.
+/// The same where every cause on the axis has one law only: a gain is a gain. Over some 700 cases of the truth generator right ones close
+/// 0.97 and more, but for one whose companion was not found; wandering dead times called delays, and the like, close 0.66 to 0.89.
 const PROXY_OF_ONE_LAW: f64 = 0.93;
 /// Gap energy in units of the noise from which that can be told.
 const TELLS_LAWS: f64 = 1.0;
@@ -151,7 +150,7 @@ pub fn closed_by_axis(energies: &Energies, axes: usize) -> Vec<Option<f64>> {
 
 /// Gap energy of an axis in units of its noise.
 fn excess_ratio(gap: &AxisGap) -> f64 {
-    (gap.before_nm.powi(2) - gap.floor_nm.powi(2)) / gap.floor_nm.powi(2)
+    gap.energy_nm2() / gap.floor_nm.powi(2)
 }
 
 /// Whether causes may be named for each axis with a gap that `counts`: `has_laws(axis)` tells whether any cause there is one of many laws.

@@ -2,14 +2,15 @@
 //!
 //! A model that is fitted to all axes has the same effects on all of them, and of two rigs that lack different things on different
 //! axes it tells half the truth twice. As long as nothing ties axes together, what a fitted model leaves on an axis does not depend on its
-//! places elsewhere, so that the best composition can be read off the models that were fitted.
+//! places elsewhere, so that the best composition can be read off the models that were fitted. Models with effects between axes are left
+//! out; where the rig itself ties axes, the price is only a promise, and the fit decides.
 
 use host_sim::effects::Place;
 
 use crate::Error;
 use crate::ambiguity::NOISE_MARGIN;
 use crate::fit::Effort;
-use crate::model::{Model, Term};
+use crate::model::{Model, Term, join_terms};
 use crate::select::Search;
 
 /// What one model does on one axis.
@@ -18,7 +19,7 @@ struct Part {
     of: Option<usize>,
     /// Its effects there, sorted.
     names: Vec<&'static str>,
-    /// What it leaves there, and what each of its effects has to be worth.
+    /// Cost that it leaves there, and what each of its effects has to be worth.
     price: f64,
 }
 
@@ -41,15 +42,7 @@ impl Search<'_> {
         let mut terms: Vec<(Term, Vec<f64>)> = Vec::new();
         for (axis, part) in picked.iter().enumerate() {
             let Some(model) = part.of.map(|m| &self.tried[m]) else { continue };
-            for (term, values) in model.part(|_, here| here.places[0] == Place::Axis(axis)) {
-                match terms.iter_mut().find(|(known, _)| known.name() == term.name()) {
-                    Some((known, all)) => {
-                        known.places.extend(term.places);
-                        all.extend(values);
-                    }
-                    None => terms.push((term, values)),
-                }
-            }
+            join_terms(&mut terms, model.part(|_, here| here.places[0] == Place::Axis(axis)));
         }
         let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = terms.into_iter().unzip();
         let effort = Effort { iterations: 4, tolerance: 2.0e-2, ..self.effort() };
@@ -72,11 +65,11 @@ impl Search<'_> {
     fn parts(&self, axis: usize, size: usize) -> Vec<Part> {
         let bare = self.scene.cost_on(&self.base, 1 << axis);
         let mut parts = vec![Part { of: None, names: Vec::new(), price: bare }];
-        let is_on_axes = |m: &&(usize, &Model)| {
-            let mut places = m.1.terms.iter().flat_map(|t| &t.places);
-            m.1.terms.len() <= size && places.all(|p| matches!(p, Place::Axis(_)))
+        let is_on_axes = |model: &Model| {
+            let mut places = model.terms.iter().flat_map(|t| &t.places);
+            model.terms.len() <= size && places.all(|p| matches!(p, Place::Axis(_)))
         };
-        for (of, model) in self.tried.iter().enumerate().filter(|m| is_on_axes(&m)) {
+        for (of, model) in self.tried.iter().enumerate().filter(|(_, m)| is_on_axes(m)) {
             let here = |t: &&Term| t.places.contains(&Place::Axis(axis));
             let mut names: Vec<_> = model.terms.iter().filter(here).map(Term::name).collect();
             names.sort_unstable();
@@ -96,9 +89,9 @@ impl Search<'_> {
 /// Of all choices of one part an axis, with `size` effects in all, the one with the lowest sum of prices.
 fn cheapest(parts: &[Vec<Part>], size: usize) -> Option<(f64, Vec<&Part>)> {
     let mut best: Option<(f64, Vec<&Part>)> = None;
-    let mut open = vec![(0.0, Vec::new(), Vec::new())];
+    // Price, parts of the first axes, and their effects.
+    let mut open: Vec<(f64, Vec<&Part>, Vec<&str>)> = vec![(0.0, Vec::new(), Vec::new())];
     while let Some((price, picked, names)) = open.pop() {
-        let (picked, names): (Vec<&Part>, Vec<&'static str>) = (picked, names);
         if best.as_ref().is_some_and(|(least, _)| price >= *least) {
             continue;
         }

@@ -104,6 +104,13 @@ pub struct AxisGap {
     pub closed: f64,
 }
 
+impl AxisGap {
+    /// Energy of the gap beyond the noise, with the rig as it was given, nm^2.
+    pub(crate) fn energy_nm2(&self) -> f64 {
+        self.before_nm.powi(2) - self.floor_nm.powi(2)
+    }
+}
+
 /// A share of the explainable gap energy.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Location {

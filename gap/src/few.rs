@@ -53,9 +53,9 @@ impl Few {
     pub(crate) fn new(scene: &Scene, base: &Stack, loud: u32) -> Option<Self> {
         let axes: Vec<usize> =
             (0..scene.position_noise.len()).filter(|axis| loud >> axis & 1 == 1).collect();
-        let of_track = |track: usize| -> Stack {
+        let of_tracks = |tracks: &[usize]| -> Stack {
             let rows = base.iter().zip(&scene.channels);
-            rows.map(|(row, c)| row.clone().filter(|_| c.track == track)).collect()
+            rows.map(|(row, c)| row.clone().filter(|_| tracks.contains(&c.track))).collect()
         };
         let excess = |stack: &Stack, mask: u32| {
             (scene.cost_on(stack, mask) - scene.noise_on(stack, mask)).max(0.0)
@@ -66,7 +66,7 @@ impl Few {
         let gaps: Vec<Vec<f64>> = used
             .iter()
             .map(|&track| {
-                let stack = of_track(track);
+                let stack = of_tracks(&[track]);
                 axes.iter().map(|&axis| excess(&stack, 1 << axis)).collect()
             })
             .collect();
@@ -92,9 +92,7 @@ impl Few {
             return None;
         }
         let tracks: Vec<usize> = taken.into_iter().map(|n| used[n]).collect();
-        let rows = base.iter().zip(&scene.channels);
-        let base: Stack =
-            rows.map(|(row, c)| row.clone().filter(|_| tracks.contains(&c.track))).collect();
+        let base = of_tracks(&tracks);
         let noise = scene.noise_on(&base, u32::MAX);
         let gap = held.iter().sum();
         Some(Self { tracks, base, noise, gap })
@@ -122,7 +120,7 @@ impl Search<'_> {
             Some(few) if self.most_numbers(&knobs) >= MANY_NUMBERS => few,
             _ => return Ok(None),
         };
-        let include = |c: &Channel| (self.include)(c) && few.tracks.contains(&c.track);
+        let include = |c: &Channel| self.is_of_few(c);
         let Some(best) = self.tried.first() else { return Ok(None) };
         let rows = best.fit.stack.iter().zip(&few.base).filter(|(_, base)| base.is_some());
         let there: f64 = rows.filter_map(|(row, _)| row.as_ref()).map(|row| dot(row, row)).sum();

@@ -13,8 +13,8 @@ use crate::select::{Search, WORTH_OF_GAP, WORTH_OF_LEFTOVER};
 
 /// What a model may leave beyond the best one of its size to be looked at, as a share of what that leaves.
 const AS_GOOD: f64 = 0.5;
-/// Share of the gap that an effect carries to be left alone.
-const MOST: f64 = 0.5;
+/// Share of the gap that an effect has to carry to be left alone.
+const MUCH: f64 = 0.5;
 /// Most models that are looked at.
 const MOST_LOOKED_AT: usize = 3;
 
@@ -56,6 +56,6 @@ impl Search<'_> {
     fn carries_much(&self, model: &Model, term: usize) -> Result<bool, Error> {
         let rig = model.without(self.nominal, term, |_| true)?;
         let left = cost(&self.scene.residuals_at(&rig, Wanted::ALL, self.include)?);
-        Ok(left - self.noise > MOST * self.gap)
+        Ok(left - self.noise > MUCH * self.gap)
     }
 }

@@ -15,7 +15,7 @@ use crate::energy::Energies;
 use crate::fit::{Effort, cost};
 use crate::guess::Ranges;
 use crate::knobs::{EffectRef, axes_seen};
-use crate::model::{Model, Term, knobs_of, start_terms};
+use crate::model::{Model, Term, join_terms, knobs_of, start_terms};
 use crate::scene::{Channel, Scene, Stack, Wanted};
 use crate::select::{Breadth, Search};
 
@@ -182,15 +182,7 @@ fn by_axis(
             continue;
         }
         search.ranges.any_loop |= own.ranges.any_loop;
-        for (term, values) in start_terms(&own) {
-            match terms.iter_mut().find(|(known, _)| known.name() == term.name()) {
-                Some((known, all)) => {
-                    known.places.extend(term.places);
-                    all.extend(values);
-                }
-                None => terms.push((term, values)),
-            }
-        }
+        join_terms(&mut terms, start_terms(&own));
     }
     if terms.len() == before && model.is_some() {
         return Ok(model);
@@ -320,8 +312,7 @@ fn proxies(rig: &Rig, model: &Model, trusted: &[bool], gaps: &[AxisGap]) -> Vec<
     let is_proxy = |term: &&Term| {
         let mut energy = [0.0; 2];
         for gap in gaps.iter().filter(|gap| reaches(rig, term, gap.axis - 1)) {
-            let own = (gap.before_nm.powi(2) - gap.floor_nm.powi(2)).max(0.0);
-            energy[usize::from(trusted[gap.axis - 1])] += own;
+            energy[usize::from(trusted[gap.axis - 1])] += gap.energy_nm2().max(0.0);
         }
         energy[0] > energy[1]
     };

@@ -280,7 +280,7 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             }
         }
         "sensor-bandwidth" => {
-            // Nor does a fast conditioner tell what one slower than the amplifier does to edges.
+            // What a fast conditioner does to edges says little of one that is slower than the amplifier.
             for times in [1.0, 5.0, 25.0] {
                 let seconds = times * typical("time_constant_s");
                 wanted.push(with(&[("time_constant_s", seconds)]));

@@ -2,15 +2,15 @@
 //!
 //! What a screen promises for an effect holds once the others have made room for it: two gains that differ in a loop only promise a
 //! tenth each, one up and one down. Started there alone, the fit would begin a hundred times farther from the recordings than without
-//! the effect, and might not find back. So every axis begins with what leaves least on it: the effect's start as it is, the start with the
-//! others moved as the same linear prediction has it, or a tenth of the effect.
+//! the effect, and might not find back. So every axis begins with what leaves least on it, or all of them together where an effect ties
+//! them: the effect's start as it is, the start with the others moved as the same linear prediction has it, or a tenth of the effect.
 
 use host_sim::effects::{Parameter, Role};
 use host_sim::rig::Rig;
 
 use crate::Error;
 use crate::fit::{from_step, rig_with, to_step};
-use crate::knobs::EffectRef;
+use crate::knobs::{EffectRef, Knob};
 use crate::model::{Term, knobs_of};
 use crate::scene::{Channel, Stack, Wanted};
 use crate::screen::Gain;
@@ -20,7 +20,7 @@ use crate::select::Search;
 const HINT: f64 = 0.1;
 
 impl Search<'_> {
-    /// Values of the `known` terms and of `effect` at the places of `gains`, which would start at `starts`.
+    /// Values of the `known` terms and of `effect` at the places of `gains`, which would start at `starts` (one set a gain).
     pub(crate) fn joint_start(
         &self,
         known: &[(Term, Vec<f64>)],
@@ -50,7 +50,7 @@ impl Search<'_> {
         self.best_by_axis(&terms, tries)
     }
 
-    /// Of several sets of values the one that leaves least, chosen on every axis by itself.
+    /// Of several sets of values the one that leaves least, chosen on every axis by itself if nothing ties them.
     fn best_by_axis(&self, terms: &[Term], tries: Vec<Vec<f64>>) -> Result<Vec<f64>, Error> {
         let knobs = knobs_of(terms, &self.ranges);
         let rigs: Vec<Rig> = tries
@@ -60,8 +60,10 @@ impl Search<'_> {
         let few = |c: &Channel| self.is_of_few(c);
         let left: Vec<Option<Stack>> =
             rigs.iter().map(|rig| self.scene.residuals_at(rig, Wanted::ALL, few).ok()).collect();
+        let ties = knobs.iter().any(Knob::couples);
         let on_axis = |stack: &Option<Stack>, axis: usize| {
-            stack.as_ref().map_or(f64::INFINITY, |stack| self.scene.cost_on(stack, 1 << axis))
+            let mask = if ties { u32::MAX } else { 1 << axis };
+            stack.as_ref().map_or(f64::INFINITY, |stack| self.scene.cost_on(stack, mask))
         };
         let best: Vec<usize> = (0..self.nominal.axes.len())
             .map(|axis| {

@@ -137,6 +137,19 @@ pub fn start_terms(model: &Model) -> Vec<(Term, Vec<f64>)> {
     model.part(|_, _| true)
 }
 
+/// Add terms and their values to `terms`: an effect that is there already acts at further places.
+pub(crate) fn join_terms(terms: &mut Vec<(Term, Vec<f64>)>, more: Vec<(Term, Vec<f64>)>) {
+    for (term, values) in more {
+        match terms.iter_mut().find(|(known, _)| known.name() == term.name()) {
+            Some((known, all)) => {
+                known.places.extend(term.places);
+                all.extend(values);
+            }
+            None => terms.push((term, values)),
+        }
+    }
+}
+
 /// Knobs of terms, in the order of their values.
 pub fn knobs_of(terms: &[Term], ranges: &Ranges) -> Vec<Knob> {
     let of_term = |t: &Term| -> Vec<Knob> {

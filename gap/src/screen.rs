@@ -1,6 +1,6 @@
 //! Screening: what each effect of the catalogue would do to the residuals, at sizes worth finding.
 //!
-//! Every effect is put into the rig at its typical size (threshold effects at three sizes and both signs, shaped ones at three shapes), the
+//! Every effect is put into the rig at its typical size (threshold effects and time constants at several sizes, shaped ones at several shapes), the
 //! session is simulated once a setting, and the change of the whitened residuals is kept as a direction. A residual is
 //! then tested against all directions by inner products alone, with what is already in the model projected out.
 
