@@ -17,7 +17,7 @@ use crate::picture;
 use crate::scene::{Channel, Scene, Stack, TOLERANCE, Wanted};
 use crate::split::{hold_out_last_third, split};
 use crate::strangers::Masked;
-use crate::{Error, Options, intake, past, slow, steady, strangers};
+use crate::{Error, Options, intake, past, rest, slow, steady, strangers};
 
 /// What `flexstage diagnose` writes.
 pub struct Outcome {
@@ -324,6 +324,8 @@ fn answer(
             "Every recording begins with a stack that no longer creeps from the one before.".into()
         });
     }
+    let is_open = matches!(verdict, Verdict::Unexplained | Verdict::PartlyExplained);
+    let rest = is_open.then(|| rest::rest(scene, raw_before, &honest_after));
     let diagnosis = Diagnosis {
         verdict,
         gap,
@@ -334,6 +336,7 @@ fn answer(
         band,
         in_order_nm,
         looks_like: masked.map(|m| m.words),
+        rest,
         notes,
     };
     let cuts_after = locate::cuts(scene, &raw_after, &white_after);

@@ -3,7 +3,8 @@
 //! Recordings of a rig go in, a [`Diagnosis`] and the corrected rig come out. The steps are files: [`intake`] lays recordings on
 //! their clocks, [`floor`] measures the noise, [`scene`] whitens residuals, [`locate`] says where the gap lies, [`split`] holds
 //! recordings out, [`screen`] tests the catalogue, [`fit`] turns parameters, [`select`] chooses effects, [`accept`] decides what may
-//! be said, `strangers` and `steady` take back what only passes for a cause, [`ambiguity`] says what else it could be, [`picture`] draws it. Method and sources: the field's practice of output-error
+//! be said, `strangers` and `steady` take back what only passes for a cause, [`ambiguity`] says what else it could be, [`rest`] measures what is
+//! left, [`picture`] draws it. Method and sources: the field's practice of output-error
 //! identification (Ljung, System Identification, chapter 7) with a model-form tolerance after Kennedy and O'Hagan.
 
 pub mod accept;
@@ -37,6 +38,7 @@ pub mod platform;
 mod prune;
 pub mod pyramid;
 mod resonance;
+pub mod rest;
 pub mod scene;
 pub mod screen;
 pub mod select;
@@ -92,10 +94,16 @@ pub fn sentence(diagnosis: &Diagnosis) -> String {
             })
             .collect(),
     );
+    let left = match &diagnosis.rest {
+        Some(rest) if !rest.words.is_empty() => {
+            format!(" What is left: {}.", rest.words.join("; "))
+        }
+        _ => String::new(),
+    };
     if let Some(band) = &diagnosis.band {
         return format!(
             "{causes}: below {:.0} Hz the gap falls from {:.1} nm to {:.1} nm on recordings that were not fitted (noise {:.1} nm there); \
-             above, nothing in the catalogue accounts for it.",
+             above, nothing in the catalogue accounts for it.{left}",
             band.below_hz, band.before_nm, band.after_nm, band.floor_nm
         );
     }
@@ -115,7 +123,7 @@ pub fn sentence(diagnosis: &Diagnosis) -> String {
             gap.before_nm, gap.after_nm, gap.floor_nm
         ),
         Verdict::PartlyExplained => format!(
-            "{causes} close {closed:.1} % of the gap ({:.1} nm to {:.1} nm, noise {:.1} nm); nothing in the catalogue accounts for the rest.{in_order}{looks_like}",
+            "{causes} close {closed:.1} % of the gap ({:.1} nm to {:.1} nm, noise {:.1} nm); nothing in the catalogue accounts for the rest.{in_order}{looks_like}{left}",
             gap.before_nm, gap.after_nm, gap.floor_nm
         ),
         Verdict::Unexplained => {
@@ -123,7 +131,7 @@ pub fn sentence(diagnosis: &Diagnosis) -> String {
                 format!(" It lies mostly in the {} of axis {}.", l.stage, l.axis)
             });
             format!(
-                "There is a gap of {:.1} nm (noise {:.1} nm) that nothing in the catalogue explains.{place}{looks_like}",
+                "There is a gap of {:.1} nm (noise {:.1} nm) that nothing in the catalogue explains.{place}{looks_like}{left}",
                 gap.before_nm, gap.floor_nm
             )
         }

@@ -355,6 +355,9 @@ fn leftover(page: Report, f: &Findings) -> Report {
             .unit("%");
         page = page.figure(&band, "Where the remainder lies.");
     }
+    if let Some(rest) = &f.diagnosis.rest {
+        page = crate::rest::draw(page, rest);
+    }
     notes(page, f)
 }
 

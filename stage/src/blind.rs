@@ -42,6 +42,9 @@ pub struct Args {
     /// Draw the nominal rig as well, instead of always the first paper's.
     #[arg(long)]
     other_rigs: bool,
+    /// Record no monitor outputs of the amplifiers: what the diagnosis can tell without them.
+    #[arg(long)]
+    without_monitor: bool,
     /// Weights of nulls, single effects, pairs and out-of-catalogue faults.
     #[arg(long, value_delimiter = ',', default_value = "0.2,0.45,0.2,0.15")]
     weights: Vec<f64>,
@@ -174,6 +177,9 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         } else {
             let mut case = Case::draw(args.seed, number, &draw);
             case.label.id = id;
+            if args.without_monitor {
+                case.drop_monitor();
+            }
             case.write(&folder).with_context(|| format!("{}: cannot write", folder.display()))?;
             fs::create_dir_all(folder.join(".labels"))?;
             fs::write(&label, serde_json::to_vec(&case.label)?)?;

@@ -90,6 +90,7 @@ pub struct Label {
 }
 
 /// A case with its recordings.
+#[derive(Clone)]
 pub struct Case {
     /// What the key says.
     pub label: Label,
@@ -192,6 +193,14 @@ impl Case {
             floor_nm,
         };
         Self { label, rig, session: runs, judging }
+    }
+
+    /// The same case as a rig records it whose amplifiers have no monitor outputs.
+    pub fn drop_monitor(&mut self) {
+        self.label.monitor = false;
+        for recording in self.session.iter_mut().chain(&mut self.judging) {
+            recording.monitor_v.fill(None);
+        }
     }
 
     /// Writes `ID/session/*.parquet`, `ID/rig.toml` and `ID/judging/*.parquet`. File names say nothing about the truth.

@@ -80,3 +80,18 @@ fn unknown_faults_are_of_many_kinds_and_visible() {
     }
     assert!(kinds.len() >= 2, "{kinds:?}");
 }
+
+#[test]
+fn a_rig_without_monitor_records_the_same_motion() {
+    let with = Case::draw(31, 0, &draw("", [1.0, 0.0, 0.0, 0.0]));
+    let mut without = with.clone();
+    without.drop_monitor();
+    assert!(with.label.monitor && !without.label.monitor);
+    for (a, b) in
+        with.session.iter().chain(&with.judging).zip(without.session.iter().chain(&without.judging))
+    {
+        assert!(a.monitor_v.iter().all(Option::is_some) && b.monitor_v.iter().all(Option::is_none));
+        assert_eq!((&a.drive_v, &a.position_um), (&b.drive_v, &b.position_um));
+        b.check("without monitor".as_ref()).unwrap();
+    }
+}

@@ -96,6 +96,7 @@ pub fn diagnose(rig: &PlatformRig, session: &Session) -> Result<Outcome, Platfor
         band: None,
         in_order_nm: None,
         looks_like: None,
+        rest: None,
         verdict,
         location: location(data, &selection, &gap, verdict, &split),
         causes: selection.accepted.iter().map(|accepted| cause(accepted, &found, memory)).collect(),
