@@ -1,10 +1,11 @@
-//! Lag towards zero frequency, level by level: a dead time or a pole lags less the slower it goes, a loop lags at all speeds, and more at larger
-//! strokes.
+//! Lag towards zero frequency, level by level: a dead time or a pole lags less the slower it goes, a loop lags at all speeds, and
+//! more at larger strokes.
 //!
-//! In slow motion every reading is fitted with `u (A + i B + i w C + w^2 D)` of all drives `u`; `A^-1 B` is the lag at zero frequency once
-//! the axes are told apart, `A^-1 C` the delay. A delay at the rising gain below a resonance leaves a few hundredths of a degree in `B`, the
-//! same at every level: growth is what is judged, and a fifth term would make it a third more uncertain. What the simulation has of it is taken off. Only periodic excitations with many lines are
-//! read: a triangle's harmonics carry the loop itself.
+//! In slow motion every reading is fitted with `u (A + i B + i w C + w^2 D)` of all drives `u`; `A^-1 B` is the lag at zero frequency
+//! once the axes are told apart, `A^-1 C` the delay. A delay at the rising gain below a resonance leaves a few hundredths of a degree
+//! in `B`, the same at every level: growth is what is judged, and a fifth term would make it a third more uncertain. What the
+//! simulation has of it is taken off. Only periodic excitations with many lines are read: a triangle's harmonics carry the loop
+//! itself.
 
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};

@@ -14,14 +14,15 @@ pub(crate) fn draw(mut page: Report, rest: &Rest) -> Report {
     if !rest.linear.is_empty() {
         figures.push((
             Box::new(shares(rest)),
-            "Share of the measured motion, octave by octave, on held-out recordings. `own` and `all`: after a frequency response of every axis \
-             to its own drive, and to all drives, was taken off what the causes leave.",
+            "Share of the measured motion, octave by octave, on held-out recordings. `own` and `all`: after a frequency response of every \
+             axis to its own drive, and to all drives, was taken off what the causes leave.",
         ));
     }
     if !rest.lag.is_empty() {
         figures.push((
             Box::new(lags(rest)),
-            "Axis and drive: lag towards zero frequency beyond the simulation's. Dead times and poles have none; a loop has one that grows with the stroke. Bars span two standard deviations to each side.",
+            "Axis and drive: lag towards zero frequency beyond the simulation's. Dead times and poles have none; a loop has one that grows with \
+             the stroke. Bars span two standard deviations to each side.",
         ));
     }
     page = page.figures(figures);

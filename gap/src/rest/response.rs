@@ -1,8 +1,9 @@
 //! What linear models of the drives would leave of the remainder.
 //!
-//! Four of them, from the poorest to the richest: one gain from each axis's own drive, gains from all drives, a frequency response from its own
-//! drive, frequency responses from all drives. Gains are fitted to slow motion and judged there; responses are fitted line by line, with a
-//! straight line through the neighbours (local polynomial method). Fitted recordings make them, held-out ones judge them.
+//! Four of them, from the poorest to the richest: one gain from each axis's own drive, gains from all drives, a frequency response
+//! from its own drive, frequency responses from all drives. Gains are fitted to slow motion and judged there; responses are fitted
+//! line by line, with a straight line through the neighbours (local polynomial method). Fitted recordings make them, held-out ones
+//! judge them.
 
 use nalgebra::DMatrix;
 use rayon::prelude::*;
