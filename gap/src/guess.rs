@@ -229,22 +229,37 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
                 ]));
             }
         }
+        "stage-drag" => {
+            for speed in [3.0e-4, 1.0e-3, 3.0e-3, 1.0e-2] {
+                wanted.push(with(&[("brake_n", typical("brake_n")), ("speed_m_per_s", speed)]));
+            }
+            wanted.push(with(&[("fluid_n", typical("fluid_n"))]));
+        }
+        "gauge-high-pass" => {
+            for seconds in [0.3, 3.0, 30.0] {
+                wanted.push(with(&[("fading", typical("fading")), ("time_constant_s", seconds)]));
+            }
+        }
         "creep" => {
             for onset in [0.01, 0.1, 1.0] {
                 wanted.push(with(&[("per_decade", typical("per_decade")), ("onset_s", onset)]));
             }
         }
         "viscoelasticity" => {
+            // A spread acts with its square: a fit that starts without one never finds it.
+            let spread = ("spread_decades", 0.2);
             for seconds in [0.003, 0.03, 0.3, 3.0] {
                 wanted.push(with(&[
                     ("branch_n_per_m", typical("branch_n_per_m")),
                     ("time_constant_s", seconds),
+                    spread,
                 ]));
             }
             wanted.push(with(&[
                 ("branch_n_per_m", typical("branch_n_per_m")),
                 ("time_constant_s", 0.3),
                 ("relaxed_share", 1.0),
+                spread,
             ]));
             wanted.push(with(&[("damping_n_s_per_m", typical("damping_n_s_per_m"))]));
         }
@@ -253,6 +268,11 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             wanted.push(with(&[("per_decade", typical("per_decade"))]));
             wanted.push(with(&[resistance]));
             wanted.push(with(&[resistance, ("loss_exponent", 0.4)]));
+            let strain_loss = ("strain_loss_v", typical("strain_loss_v"));
+            for share in [3.0e-4, 3.0e-3, 3.0e-2] {
+                let current_a = ("strain_loss_a", share * ranges.current_a);
+                wanted.push(with(&[strain_loss, current_a]));
+            }
         }
         "sensor-nonlinearity" => {
             // The line may end far beyond what was driven.
@@ -297,6 +317,13 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
                 wanted.push(with(&[
                     ("coulomb_n", typical("coulomb_n")),
                     ("presliding_m", metres * span),
+                ]));
+            }
+            for speed in [1.0e-4, 1.0e-3, 4.0e-3] {
+                wanted.push(with(&[
+                    ("coulomb_n", typical("coulomb_n")),
+                    ("presliding_m", 0.003 * span),
+                    ("creeping_m_per_s", speed),
                 ]));
             }
         }

@@ -192,8 +192,11 @@ pub fn places(effect: EffectRef, axes: usize) -> Vec<Place> {
 }
 
 /// Parameters that only tell varieties of an effect apart.
-const VARIETIES: [(&str, &str); 2] =
-    [("piezo-gain", "polarisation"), ("amplifier-bandwidth", "further_pole")];
+const VARIETIES: [(&str, &str); 3] = [
+    ("piezo-gain", "polarisation"),
+    ("amplifier-bandwidth", "further_pole"),
+    ("viscoelasticity", "spread_decades"),
+];
 
 /// Whether an effect is one number, or has one beside which others only tell varieties apart.
 pub(crate) fn is_plain(effect: EffectRef) -> bool {

@@ -13,13 +13,16 @@ use crate::Error;
 use crate::found::{Found, keep};
 use crate::knobs::{EffectRef, axes_seen};
 use crate::model::{Model, Term, start_terms};
-use crate::scene::{Channel, Scene, Stack, Wanted};
+use crate::scene::{Channel, Scene, Stack, Wanted, dot};
 use crate::select::{Search, WORTH_ABSOLUTE};
 
 /// Share of the gap that causes have to leave before a stranger is looked for.
 const OPEN: f64 = 1.0e-3;
 /// Most that a stranger may leave, as a share of what as many causes leave.
 const CLEARLY_LESS: f64 = 0.5;
+
+/// ... while it leaves no more than this multiple of it in any recording.
+const MORE: f64 = 1.2;
 
 /// A stranger that passed for causes.
 pub(crate) struct Masked {
@@ -112,12 +115,27 @@ fn instead(
         } else {
             ours < CLEARLY_LESS * theirs && model.fit.cost - other.fit.cost > worth
         };
+        let is_better = is_better && nowhere_more(scene, [&other, model], worth);
         let is_best = best.as_ref().is_none_or(|best| other.fit.cost < best.fit.cost);
         if is_better && is_best {
             best = Some(other);
         }
     }
     Ok(best)
+}
+
+/// Whether the first of two models leaves clearly more than the second in no recording: what is the right one is so everywhere, while one
+/// recording of fast edges may tell of integrators.
+fn nowhere_more(scene: &Scene, models: [&Model; 2], worth: f64) -> bool {
+    (0..scene.tracks.len()).all(|track| {
+        let [ours, theirs] = models.map(|model| {
+            let rows = model.fit.stack.iter().zip(&scene.channels);
+            rows.filter(|(_, c)| c.track == track)
+                .filter_map(|(row, c)| row.as_ref().map(|row| dot(row, row) - c.noise_cost()))
+                .sum::<f64>()
+        });
+        ours < MORE * theirs.max(0.0) + worth
+    })
 }
 
 /// Axes that the effects of a model change, as a mask.

@@ -107,7 +107,7 @@ fn impossible_values_are_refused() {
     }
     let beyond = format!("{}\n[axis.effects.creep]\nper_decade = 7\n", handley());
     let error = message(&beyond);
-    assert!(error.contains("creep.per_decade on axis 3: expected -0.1 to 0.3"), "{error}");
+    assert!(error.contains("creep.per_decade on axis 3: expected 0 to 0.3"), "{error}");
     let itself =
         format!("{}\n[[axis.effects.drive-crosstalk]]\nfrom = 3\nshare = 0.1\n", handley());
     assert!(message(&itself).contains("two different axes"));

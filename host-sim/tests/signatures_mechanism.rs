@@ -53,6 +53,30 @@ fn viscoelasticity_is_one_exponential() {
     assert!(expected.contains(&found), "{found} {expected:?}");
 }
 
+/// What is left of a step's relaxation is the log-normal mean of exponentials.
+#[test]
+fn relaxation_times_spread_by_decades() {
+    const SPREAD: f64 = 0.4;
+    let branch = [("branch_n_per_m", 2e5), ("time_constant_s", 0.3), ("spread_decades", SPREAD)];
+    let rig = single("viscoelasticity", &branch);
+    let x = run(&rig, 1e3, 21.0, |t| if t < 1.0 { 0.0 } else { 60.0 }).position_m.remove(0);
+    let left = |after_s: f64| x[20_999] - x[((1.0 + after_s) * 1e3) as usize];
+    let mean = |after_s: f64| -> f64 {
+        let (sum, weights) = (-400..=400).map(|n| f64::from(n) / 100.0).fold((0.0, 0.0), |s, z| {
+            let weight = (-0.5 * z * z).exp();
+            (s.0 + weight * (-after_s / (0.3 * 10_f64.powf(SPREAD * z))).exp(), s.1 + weight)
+        });
+        sum / weights
+    };
+    for after_s in [0.1, 0.2, 0.4, 0.8, 1.5] {
+        let (found, expected) = (left(after_s) / left(0.05), mean(after_s) / mean(0.05));
+        assert!((found / expected - 1.0).abs() < 0.06, "{after_s} s: {found} for {expected}");
+        // One exponential is far off.
+        let single = (-(after_s - 0.05) / 0.3_f64).exp();
+        assert!(after_s < 0.3 || (single / found - 1.0).abs() > 0.1, "{after_s} s: {single}");
+    }
+}
+
 #[test]
 fn stiffness_lowers_the_stroke_by_the_ratio_of_springs() {
     let softer = |change: f64| {
@@ -209,4 +233,24 @@ fn friction_steps_by_the_same_force_at_every_reversal() {
         x[n + 3 * n / 4] - x[n + n / 4]
     };
     assert!((gap(1.0, 1e4) / gap(0.2, 2e3) - 1.0).abs() < 0.02);
+}
+
+/// Below its creeping speed a guide rubs in proportion to the speed, far above it as it does without one.
+#[test]
+fn friction_falls_at_creeping_speeds() {
+    let half_opened = |creeping: f64, hz: f64| {
+        let settings = [("coulomb_n", 5.0), ("presliding_m", 1e-9), ("creeping_m_per_s", creeping)];
+        let loop_of = |rig: &Rig| {
+            let n = (1e4 / hz) as usize;
+            let x = run(rig, 1e4, 2.0 / hz, triangle(60.0, hz)).position_m.remove(0);
+            x[n + 3 * n / 4] - x[n + n / 4]
+        };
+        loop_of(&single("friction", &settings)) - loop_of(&one_axis())
+    };
+    // 60 V and back at 5 Hz: 7 um a tenth of a second.
+    let at_all_speeds = half_opened(1e-8, 5.0);
+    assert!((half_opened(7e-7, 5.0) / at_all_speeds - 1.0).abs() < 0.02);
+    let slow = [2.5, 5.0].map(|hz| half_opened(7e-4, hz));
+    assert!((slow[1] / slow[0] - 2.0).abs() < 0.05, "{slow:?}");
+    assert!((slow[1] / at_all_speeds - 0.1).abs() < 0.02, "{slow:?} {at_all_speeds}");
 }

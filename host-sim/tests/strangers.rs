@@ -76,3 +76,47 @@ fn a_gauge_that_warms_up_reads_more_later() {
     let expected = 1.0 + 0.02 * (1.0 - (-100.1_f64 / 50.0).exp());
     assert!((warm[1_000] / cold[1_000] - expected).abs() < 1.0e-9);
 }
+
+/// By how much drag opens the loop of a triangle of 60 V at the middle of its branches, m.
+fn opened(settings: &[(&str, &str, f64)], hz: f64) -> f64 {
+    let triangle = |t: f64| 60.0 * (1.0 - (2.0 * (t * hz).fract() - 1.0).abs());
+    let period = (RATE_HZ / hz) as usize;
+    let open = |settings: &[(&str, &str, f64)]| {
+        let x = reading(settings, 2 * period, triangle);
+        x[period + 3 * period / 4] - x[period + period / 4]
+    };
+    open(settings) - open(&[])
+}
+
+#[test]
+fn a_brake_lets_go_and_a_fluid_does_not() {
+    // 5.6 um in half a period: 0.225 mm/s at 20 Hz. Where the brake lets go a triangle's speed is not steady.
+    let brake = [("stage-drag", "brake_n", 4.0), ("stage-drag", "speed_m_per_s", 2.25e-4)];
+    let at = [5.0, 10.0, 20.0].map(|hz| opened(&brake, hz));
+    let law = |u: f64| 2.0 * u / (1.0 + u * u);
+    assert!((at[0] / at[2] - law(0.25)).abs() < 0.03, "{at:?}");
+    assert!((at[1] / at[2] - law(0.5)).abs() < 0.03, "{at:?}");
+    assert!(opened(&brake, 80.0) < 0.8 * at[2], "{at:?}");
+    let fluid = [("stage-drag", "fluid_n", 20.0)];
+    let ratio = opened(&fluid, 40.0) / opened(&fluid, 20.0);
+    assert!((ratio - 4.0).abs() < 0.2, "{ratio}");
+}
+
+#[test]
+fn what_lasts_fades_from_a_gauge_with_a_high_pass() {
+    let fading = 0.1;
+    let settings =
+        [("gauge-high-pass", "fading", fading), ("gauge-high-pass", "time_constant_s", 0.05)];
+    let step = |t: f64| if t < 0.5 { 50.0 } else { 0.0 };
+    let (held, read) = (reading(&[], 6_000, step), reading(&settings, 6_000, step));
+    assert!((read[4_999] / held[4_999] - (1.0 - fading)).abs() < 1.0e-3);
+    // A tenth of what was held is read the other way once it is gone, and fades in turn.
+    let left = |n: usize| (held[n] - read[n]) / held[4_999];
+    for n in [5_100, 5_300, 5_900] {
+        let faded = (-((n - 5_000) as f64 / RATE_HZ) / 0.05).exp();
+        // The loop of the stack keeps a little.
+        let kept = held[n] / held[4_999];
+        let expected = fading * (faded + kept * (1.0 - faded));
+        assert!((left(n) - expected).abs() < 0.02 * fading, "{n}: {} {expected}", left(n));
+    }
+}

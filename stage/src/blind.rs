@@ -16,6 +16,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use recording::{Recording, Session};
 use truth::case::{Case, Draw, Label, Sessions, key, seal};
 use truth::effects::EFFECTS;
+use truth::faults::Kind;
 use truth::score::{Answer, Judged, Outcome, score, summarise};
 
 /// Options of `flexstage blind`.
@@ -51,6 +52,12 @@ pub struct Args {
     /// Draw only these effects (comma separated).
     #[arg(long, value_delimiter = ',')]
     only: Vec<String>,
+    /// Draw effects in further forms: a slew limit for a current limit, few relaxations for a law of creep, and so on.
+    #[arg(long)]
+    further_forms: bool,
+    /// Faults outside the catalogue: what breaks, or physics of a healthy rig that nobody thought of.
+    #[arg(long, value_enum, default_value_t = Faults::Broken)]
+    faults: Faults,
     /// Take each effect out of the catalogue in turn and draw cases of it: the tool must say that it cannot explain them.
     #[arg(long)]
     leave_one_out: bool,
@@ -70,6 +77,12 @@ enum SessionKind {
     Probe,
     Random,
     Mixed,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Faults {
+    Broken,
+    Physics,
 }
 
 /// A case to be drawn.
@@ -114,6 +127,11 @@ impl Args {
             other_rigs: self.other_rigs,
             weights,
             only: self.only.clone(),
+            further_forms: self.further_forms,
+            faults: match self.faults {
+                Faults::Broken => &Kind::BROKEN,
+                Faults::Physics => &Kind::PHYSICS,
+            },
         })
     }
 

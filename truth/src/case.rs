@@ -32,6 +32,10 @@ pub struct Draw {
     pub weights: [f64; 4],
     /// Effects to draw from; empty for all.
     pub only: Vec<String>,
+    /// Whether effects take further forms ([`crate::forms`]).
+    pub further_forms: bool,
+    /// Faults to draw from where one is drawn.
+    pub faults: &'static [Kind],
 }
 
 impl Default for Draw {
@@ -42,6 +46,8 @@ impl Default for Draw {
             other_rigs: false,
             weights: [0.2, 0.45, 0.2, 0.15],
             only: Vec::new(),
+            further_forms: false,
+            faults: &Kind::BROKEN,
         }
     }
 }
@@ -149,7 +155,7 @@ impl Case {
                     let left: Vec<_> =
                         allowed.iter().filter(|effect| !taken.contains(&effect.name)).collect();
                     let Some(effect) = left.choose(&mut rng) else { break };
-                    let (drawn, ratio) = trial.sized(effect, draw.ratio, &mut rng);
+                    let (drawn, ratio) = trial.sized(effect, draw, &mut rng);
                     drawn.apply(&mut world);
                     truth.push(Truth {
                         effect: effect.name.into(),
@@ -161,7 +167,7 @@ impl Case {
                 }
             }
             3 => {
-                let fault = *Kind::ALL.choose(&mut rng).expect("not empty");
+                let fault = *draw.faults.choose(&mut rng).expect("not empty");
                 let one = rng.random_range(0..axes);
                 let on = if rng.random_bool(0.3) { 0..axes } else { one..one + 1 };
                 let (size, ratio) = trial.sized_fault(fault, &on, draw.ratio, &mut rng);
@@ -299,16 +305,13 @@ impl Trial<'_> {
 
     /// An effect whose gap is within the wanted range: drawn from physical sizes, then brought to a size drawn
     /// log-uniformly inside the range if it fell outside.
-    fn sized(
-        &self,
-        effect: &'static Effect,
-        range: (f64, f64),
-        rng: &mut impl Rng,
-    ) -> (Drawn, f64) {
+    fn sized(&self, effect: &'static Effect, draw: &Draw, rng: &mut impl Rng) -> (Drawn, f64) {
+        let range = draw.ratio;
         let nominal = self.positions(|_| {});
         let mut best: Option<(Drawn, f64)> = None;
         for _ in 0..4 {
             let mut drawn = Drawn::new(effect, self.rig.axes.len(), rng);
+            drawn.is_further = draw.further_forms;
             let wanted = rng.random_range(range.0.ln()..range.1.ln()).exp();
             for _ in 0..4 {
                 let ratio = self.ratio(&nominal, &self.positions(|world| drawn.apply(world)));

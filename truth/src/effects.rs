@@ -8,6 +8,7 @@ use std::f64::consts::TAU;
 use rand::rngs::StdRng;
 use rand::{Rng, RngExt, SeedableRng};
 
+use crate::forms;
 use crate::hysteresis::Hysteresis;
 use crate::world::{Bend, Creep, Drift, Friction, Hum, Lowpass, Mode, Rate, World};
 
@@ -75,6 +76,8 @@ pub struct Drawn {
     pub sign: f64,
     /// Form, and what is random in it.
     pub seed: u64,
+    /// Whether the effect takes one of [`crate::forms`], if it has any.
+    pub is_further: bool,
 }
 
 impl Drawn {
@@ -96,7 +99,7 @@ impl Drawn {
         let (low, high) = effect.size;
         let size = rng.random_range(low.ln()..high.ln()).exp();
         let sign = if rng.random_bool(0.5) { 1.0 } else { -1.0 };
-        Self { effect, axes: affected, size, sign, seed: rng.random() }
+        Self { effect, axes: affected, size, sign, seed: rng.random(), is_further: false }
     }
 
     /// Adds the effect to a world.
@@ -140,6 +143,9 @@ impl Drawn {
         form: &mut StdRng,
     ) {
         let axis = &mut world.axes[index];
+        if self.is_further && forms::apply(axis, name, (size, signed), form, rng) {
+            return;
+        }
         match name {
             "drive-gain" => axis.drive.0 *= 1.0 + signed,
             "drive-offset" => axis.drive.1 += signed,

@@ -42,6 +42,7 @@ struct Moving {
     voltage_z: f64,
     charge_rate: f64,
     drive_rate: f64,
+    relaxing_v: f64,
     driven_v: f64,
     creep_v: f64,
     creep_table: Vec<(f64, f64)>,
@@ -102,6 +103,7 @@ pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Opt
             voltage_z: 0.0,
             charge_rate: 0.0,
             drive_rate: 0.0,
+            relaxing_v: 0.0,
             driven_v: 0.0,
             creep_v: 0.0,
             creep_table: axis.creep.as_ref().map_or_else(Vec::new, |creep| creep.table(1.0 / rate)),
@@ -147,7 +149,7 @@ pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Opt
         for (index, (axis, state)) in world.axes.iter_mut().zip(&mut moving).enumerate() {
             let mut reading = gauge(axis, state, seen[index], time);
             for fault in world.faults.iter_mut().filter(|fault| fault.axis == index) {
-                reading = fault.reading(tick, time, reading);
+                reading = fault.reading(tick, time, reading, &seen);
             }
             let mut monitor = state.output_v;
             let constants = &axis.constants;
@@ -217,19 +219,24 @@ pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Opt
                     asked += share * command;
                 }
                 for fault in world.faults.iter_mut().filter(|fault| fault.axis == index) {
-                    asked = fault.drive(tick, time, asked);
+                    asked = fault.drive(tick, time, asked, moving[index].drive_rate);
                 }
-                let mut force = moving[index].outside_n;
+                let mut outside =
+                    Outside { force_n: moving[index].outside_n, ..Outside::default() };
                 for fault in world.faults.iter().filter(|fault| fault.axis == index) {
-                    force += fault.shaking(time);
+                    outside.force_n += fault.shaking(time);
+                    outside.damping += fault.drag(moving[index].speed);
+                    let (stiffness, from_m) = fault.stop(moving[index].position_m);
+                    outside.stiffness += stiffness;
+                    outside.force_n += stiffness * from_m;
                 }
                 for (stiffness, displacement) in
                     world.stiffness_cross[index].iter().zip(&displacements)
                 {
-                    force -= stiffness * displacement;
+                    outside.force_n -= stiffness * displacement;
                 }
                 amplifier(axis, &mut moving[index], asked, time, dt);
-                mechanics(axis, &mut moving[index], force, dt);
+                mechanics(axis, &mut moving[index], &outside, dt);
             }
             for index in 0..axes {
                 let seen = seen_m(world, &moving, index);
@@ -294,18 +301,33 @@ fn amplifier(axis: &AxisWorld, state: &mut Moving, asked: f64, time: f64, dt: f6
         let most = limit_a * dt * (slope + 1.0 / linear);
         rise = if soft { most * (rise / most).tanh() } else { rise.clamp(-most, most) };
     }
+    if axis.slew_v_per_s > 0.0 {
+        rise = rise.clamp(-axis.slew_v_per_s * dt, axis.slew_v_per_s * dt);
+    }
     let free = state.output_v - state.hum_v + rise;
     state.hum_v = axis.amplifier_hum.at(time + dt);
     state.output_v = free + state.hum_v;
 }
 
+/// What acts on a stage from outside: a force (N), and stiffness (N/m) and damping (N s/m) that hold for a step.
+#[derive(Default)]
+struct Outside {
+    force_n: f64,
+    stiffness: f64,
+    damping: f64,
+}
+
 /// One step of stack and mechanism under the amplifier's output.
-fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside_n: f64, dt: f64) {
+fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside: &Outside, dt: f64) {
     let constants = &axis.constants;
     let transformer = constants.transformer_n_per_v;
-    let mut stiffness = constants.stiffness_n_per_m + constants.mechanism_n_per_m;
-    let mut damping = constants.damping_n_s_per_m;
-    let mut force = outside_n + transformer * state.creep_v;
+    let mut stiffness =
+        constants.stiffness_n_per_m + constants.mechanism_n_per_m + outside.stiffness;
+    let mut damping = constants.damping_n_s_per_m + outside.damping;
+    if let Some((level, soft)) = axis.viscous_at_rest {
+        damping += level / state.speed.hypot(soft);
+    }
+    let mut force = outside.force_n + transformer * state.creep_v;
     // Each of these is linear in the new position: value and slope at the old one.
     let here = state.position_m;
     if let Some((hard, scale, exponent)) = axis.hardening {
@@ -354,6 +376,7 @@ fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside_n: f64, dt: f64) 
     state.drive_rate += (current - state.drive_rate) * (dt / 1e-4).min(1.0);
     let factor = match axis.rate {
         Rate::PerDecade(growth) => 1.0 + growth * (1.0 + state.drive_rate.abs() / 1e-4).log10(),
+        Rate::Saturating(growth, rate) => 1.0 + growth * (state.drive_rate.abs() / rate).tanh(),
         _ => 1.0,
     };
     // Voltage and slope of a loss that goes with a power of the rate, smooth through zero, at charge q.
@@ -365,6 +388,10 @@ fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside_n: f64, dt: f64) 
             let size = (r * r + soft * soft).powf(0.5 * (power - 1.0));
             let slope = size * (1.0 + (power - 1.0) * r * r / (r * r + soft * soft));
             (volts * size * r, volts * slope * follow / dt / 1e-3)
+        }
+        Rate::Relaxing(volts, time) => {
+            let (slope, left) = (volts / (1e-3 * time), (-dt / time).exp());
+            (left * (state.relaxing_v + slope * (q - last)), left * slope)
         }
         _ => (0.0, 0.0),
     };
@@ -408,6 +435,9 @@ fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside_n: f64, dt: f64) 
         }
     }
     state.friction_n = rubbed(travel).0;
+    if let Rate::Relaxing(..) = axis.rate {
+        state.relaxing_v = extra(q, last).0;
+    }
     axis.hysteresis.commit(q);
     // A rate over a tenth of a millisecond: dissipation does not follow the 32 kHz ringing.
     state.charge_rate += ((q - last) / dt - state.charge_rate) * (dt / 1e-4).min(1.0);

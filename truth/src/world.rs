@@ -40,6 +40,8 @@ pub struct AxisWorld {
     pub second_pole_s: f64,
     /// Largest current of the amplifier (A), and whether it is reached softly.
     pub current: (f64, bool),
+    /// Fastest slope of the amplifier (V/s); 0 for any.
+    pub slew_v_per_s: f64,
     /// Rails where the output saturates (V) and width of the soft knee (V; 0 for a hard one).
     pub clip: (f64, f64, f64),
     /// Mains on the amplifier's output (V).
@@ -58,6 +60,8 @@ pub struct AxisWorld {
     pub branches: Vec<(f64, f64)>,
     /// Friction of the guide.
     pub friction: Option<Friction>,
+    /// Friction without rest: force (N), and speed (m/s) where it reaches 0.7 of that, on a hyperbola's way from damper to Coulomb.
+    pub viscous_at_rest: Option<(f64, f64)>,
     /// Factor and offset (m) of the gauge.
     pub sensor: (f64, f64),
     /// Nonlinearity of the gauge.
@@ -104,6 +108,10 @@ pub enum Rate {
     PerDecade(f64),
     /// A further voltage (V) at 1e-3 C/s, growing with this power of the rate.
     Power(f64, f64),
+    /// Voltage grows by up to this share, half of it reached at about half of this rate (C/s).
+    Saturating(f64, f64),
+    /// A further voltage (V) at 1e-3 C/s that relaxes with this time constant (s): a resistor beside a capacitance.
+    Relaxing(f64, f64),
 }
 
 /// Creep with a logarithmic law: a response per decade of time, kept as densely spaced relaxations.
@@ -117,6 +125,8 @@ pub struct Creep {
     pub tilt: f64,
     /// Growth of the share with the voltage, at 100 V.
     pub level: f64,
+    /// One relaxation in this many is there.
+    pub every: usize,
     /// State of each relaxation (V).
     pub states: Vec<f64>,
 }
@@ -130,7 +140,12 @@ impl Creep {
     /// At rest.
     pub fn new(per_decade: f64, from_s: f64, tilt: f64, level: f64) -> Self {
         let states = vec![0.0; Self::PER_DECADE * Self::DECADES];
-        Self { per_decade, from_s, tilt, level, states }
+        Self { per_decade, from_s, tilt, level, every: 1, states }
+    }
+
+    /// A relaxation a decade and a bit, the first soon after `from_s`.
+    pub fn sparse(per_decade: f64, from_s: f64) -> Self {
+        Self { every: 4, ..Self::new(per_decade, from_s, 0.0, 0.0) }
     }
 
     fn time_s(&self, index: usize) -> f64 {
@@ -142,7 +157,8 @@ impl Creep {
         let entry = |index| {
             let time = self.time_s(index);
             let weight = self.per_decade / Self::PER_DECADE as f64 * (time / 1.0).powf(self.tilt);
-            (weight, -(-dt / time).exp_m1())
+            let there = if index % self.every == 0 { self.every as f64 } else { 0.0 };
+            (there * weight, -(-dt / time).exp_m1())
         };
         (0..self.states.len()).map(entry).collect()
     }
@@ -192,6 +208,8 @@ pub enum Bend {
     Ess(f64),
     /// Saturating: error (m) at full range.
     Saturation(f64),
+    /// Parabola about zero: error (m) at full range.
+    Square(f64),
 }
 
 impl Bend {
@@ -202,6 +220,7 @@ impl Bend {
             Self::Bow(size) => 4.0 * size * along * (1.0 - along),
             Self::Ess(size) => size * 10.39 * along * (along - 0.5) * (along - 1.0) * 2.0,
             Self::Saturation(size) => size * along.abs().powf(2.5) * along.signum(),
+            Self::Square(size) => size * along * along,
         }
     }
 }
@@ -224,6 +243,8 @@ pub enum Drift {
     WarmUp(f64, f64),
     /// Room temperature: amplitude (m), period (s), phase (rad).
     Room(f64, f64, f64),
+    /// Wandering without a period: size (m) and phase (rad).
+    Wander(f64, f64),
 }
 
 impl Drift {
@@ -235,6 +256,16 @@ impl Drift {
             Self::Room(size, period, phase) => {
                 size * ((TAU * time_s / period + phase).sin() - phase.sin())
             }
+            // The longer the period, the larger.
+            Self::Wander(size, phase) => [23.0f64, 61.0, 149.0, 407.0]
+                .iter()
+                .zip(1..)
+                .map(|(period, nth)| {
+                    let phase = phase * f64::from(nth * nth);
+                    let turn = (TAU * time_s / period + phase).sin() - phase.sin();
+                    size * (period / 407.0).sqrt() * turn
+                })
+                .sum(),
         }
     }
 }
@@ -263,6 +294,7 @@ impl AxisWorld {
             delay_s: 0.0,
             second_pole_s: 0.0,
             current: (f64::INFINITY, false),
+            slew_v_per_s: 0.0,
             clip: (axis.rails_v.0, axis.rails_v.1, 0.0),
             amplifier_hum: Hum::default(),
             rate: Rate::None,
@@ -272,6 +304,7 @@ impl AxisWorld {
             modes: Vec::new(),
             branches: Vec::new(),
             friction: None,
+            viscous_at_rest: None,
             sensor: (1.0, 0.0),
             bend: None,
             lowpass: None,

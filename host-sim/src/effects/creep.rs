@@ -13,7 +13,7 @@ static INFO: Info = Info {
     kind: Kind::Structural,
     scope: Scope::Axis,
     parameters: &[
-        Parameter::size("per_decade", "1", 0.0, (-0.1, 0.3), 0.015, "growth of the stroke a decade of time"),
+        Parameter::size("per_decade", "1", 0.0, (0.0, 0.3), 0.015, "growth of the stroke a decade of time"),
         Parameter::shape("onset_s", "s", (1.0e-4, 10.0), 0.02, "time after a step from which it goes with the logarithm").by_ratio(),
     ],
     threshold: false,

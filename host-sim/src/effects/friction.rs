@@ -2,6 +2,7 @@
 
 use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
 use crate::stages::model::{Force, Model};
+use crate::stages::speed::EndSpeed;
 
 pub(super) struct Friction;
 
@@ -15,12 +16,14 @@ static INFO: Info = Info {
     parameters: &[
         Parameter::size("coulomb_n", "N", 0.0, (0.0, 1.0e5), 3.0, "friction once sliding"),
         Parameter::shape("presliding_m", "m", (1.0e-9, 1.0e-4), 1.0e-7, "displacement in which it builds up").by_ratio(),
+        Parameter::shape("creeping_m_per_s", "m/s", (1.0e-8, 1.0e-1), 1.0e-8, "speed below which it falls").by_ratio(),
     ],
     threshold: false,
     physics: "Dahl: dF/dx = -(coulomb/presliding) (1 + F sgn(dx)/coulomb), so after a reversal the force goes to the other \
-              side within a few presliding lengths, whatever the speed and stroke; presliding -> 0 is Coulomb. In closed \
-              form over a tick, so it does not depend on the step.",
-    source: "Dahl, 1968; a touching cable, a guide or a stop; loop height constant in force (notes/gap.md, section 3)",
+              side within a few presliding lengths, whatever the stroke; presliding -> 0 is Coulomb. In closed form over a \
+              tick, so it does not depend on the step. The level is coulomb tanh(v/creeping): a lubricated guide \
+              rubs less the slower it goes; at the smallest creeping speed it is the same at all speeds.",
+    source: "Dahl, 1968; Stribeck's left branch; a touching cable, a guide or a stop; loop height constant in force (notes/gap.md, section 3)",
     revealed_by: "slow triangles at small and large strokes: the same step at each reversal",
     confused_with: &["hysteresis-shape", "preload-loss", "hysteresis-rate"],
 };
@@ -28,21 +31,34 @@ static INFO: Info = Info {
 struct Dahl {
     coulomb_n: f64,
     presliding_m: f64,
+    creeping_m_per_s: f64,
+    step_s: f64,
+    speed: EndSpeed,
     force_n: f64,
     at_m: f64,
 }
 
 impl Force for Dahl {
+    fn begin(&mut self, step_s: f64) {
+        self.step_s = step_s;
+    }
+
     fn force(&self, x_m: f64) -> (f64, f64) {
         let travel = x_m - self.at_m;
-        let end = -self.coulomb_n * if travel >= 0.0 { 1.0 } else { -1.0 };
-        let left = (self.force_n - end) * (-travel.abs() / self.presliding_m).exp();
-        (end + left, -left.abs() / self.presliding_m)
+        // At rest there is no speed to fall with: next to nothing, but a number.
+        let creeping = (self.creeping_m_per_s * self.step_s).max(1.0e-30);
+        let (speed, faster) = self.speed.at(travel);
+        let level = (speed / creeping).tanh();
+        let kept = (-travel.abs() / self.presliding_m).exp();
+        let left = (self.force_n + self.coulomb_n * level) * kept;
+        let rise = self.coulomb_n * (1.0 - level * level) / creeping * faster.max(0.0) * (1.0 - kept);
+        (left - self.coulomb_n * level, -rise - left.abs() / self.presliding_m)
     }
 
     fn commit(&mut self, x_m: f64, step_s: f64) {
         if step_s > 0.0 {
             self.force_n = self.force(x_m).0;
+            self.speed.commit(x_m - self.at_m);
         }
         self.at_m = x_m;
     }
@@ -57,6 +73,9 @@ impl Effect for Friction {
         model.axes[place.on()].mechanism.forces.push(Box::new(Dahl {
             coulomb_n: values[0],
             presliding_m: values[1],
+            creeping_m_per_s: values[2],
+            step_s: 0.0,
+            speed: EndSpeed::default(),
             force_n: 0.0,
             at_m: 0.0,
         }));

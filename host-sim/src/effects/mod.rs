@@ -280,12 +280,19 @@ catalogue! {
 }
 
 mod floor_hum;
+mod gauge_high_pass;
 mod gauge_play;
 mod gauge_warming;
+mod stage_drag;
 
 /// What a rig may do too, and a diagnosis does not name: it is told from effects of the catalogue that look like it.
-static STRANGERS: &[&dyn Effect] =
-    &[&floor_hum::EFFECT, &gauge_warming::EFFECT, &gauge_play::EFFECT];
+static STRANGERS: &[&dyn Effect] = &[
+    &floor_hum::EFFECT,
+    &stage_drag::EFFECT,
+    &gauge_warming::EFFECT,
+    &gauge_play::EFFECT,
+    &gauge_high_pass::EFFECT,
+];
 
 /// Effects outside the catalogue. Rig files take them.
 pub fn strangers() -> &'static [&'static dyn Effect] {

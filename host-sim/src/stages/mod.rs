@@ -13,3 +13,4 @@ pub mod hysteresis;
 pub mod mechanism;
 pub mod model;
 pub mod sensor;
+pub(crate) mod speed;

@@ -97,10 +97,22 @@ pub struct PiezoModel {
     pub resistance_ohm: f64,
     /// Power of the current that the voltage of this loss goes with, 1.
     pub loss_exponent: f64,
+    /// What the drag of domain walls takes from the force: voltage and current of [`StrainLoss`].
+    pub strain_loss: Option<StrainLoss>,
     /// How the limits grow with current.
     pub rate: Option<Box<dyn RateLaw>>,
     /// Slow strain.
     pub creep: Vec<Kelvin>,
+}
+
+/// Loss between charge and strain: the stack pushes as if the transducer voltage were `voltage_v asinh(|dq/dt| / current_a)` nearer to
+/// where it came from, while the charge flows as without.
+#[derive(Debug, Clone, Copy)]
+pub struct StrainLoss {
+    /// Scale of the loss, V.
+    pub voltage_v: f64,
+    /// Current from which it grows with the logarithm, A.
+    pub current_a: f64,
 }
 
 /// One slow strain: `share` of the transducer voltage arrives with `time_constant_s`.
@@ -234,6 +246,7 @@ impl AxisModel {
                 skew_per_c: 0.0,
                 resistance_ohm: 0.0,
                 loss_exponent: 1.0,
+                strain_loss: None,
                 rate: None,
                 creep: Vec::new(),
             },

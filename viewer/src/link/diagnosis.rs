@@ -91,7 +91,7 @@ fn wait(mut child: Child, stop: &AtomicBool) -> Result<(), Ended> {
     }
 }
 
-/// The verdict with its causes and what it did to the gap.
+/// The verdict with its causes, what it did to the gap, and what is left.
 fn sentence(json: &serde_json::Value) -> String {
     let causes: Vec<String> = json["causes"]
         .as_array()
@@ -108,8 +108,19 @@ fn sentence(json: &serde_json::Value) -> String {
         .map_or(String::new(), |nm| format!(" ({nm:.1} nm in the session's order)"));
     let looks_like =
         json["looks_like"].as_str().map_or(String::new(), |words| format!(". {words}"));
+    let left: Vec<&str> = json["rest"]["words"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .filter_map(serde_json::Value::as_str)
+        .collect();
+    let left = if left.is_empty() {
+        String::new()
+    } else {
+        format!(". What is left: {}", left.join("; "))
+    };
     format!(
-        "{}{}, gap {:.1} nm before, {:.1} nm after{in_order}{looks_like}",
+        "{}{}, gap {:.1} nm before, {:.1} nm after{in_order}{looks_like}{left}",
         json["verdict"].as_str().unwrap_or("?"),
         if causes.is_empty() { String::new() } else { format!(": {}", causes.join(" + ")) },
         json["gap"]["before_nm"].as_f64().unwrap_or(f64::NAN),
@@ -137,6 +148,21 @@ mod tests {
             Err(Ended::Failed(words)) => assert_eq!(words, "the reason"),
             _ => panic!("expected a failure"),
         }
+    }
+
+    #[test]
+    fn the_sentence_says_what_is_left() {
+        let json = serde_json::json!({
+            "verdict": "partly-explained",
+            "causes": [{ "effect": "friction", "axes": [1, 3] }],
+            "gap": { "before_nm": 120.0, "after_nm": 30.04 },
+            "rest": { "words": ["dynamic coupling", "disturbances in a.parquet"] },
+        });
+        assert_eq!(
+            sentence(&json),
+            "partly-explained: friction (axis 1, 3), gap 120.0 nm before, 30.0 nm after. \
+             What is left: dynamic coupling; disturbances in a.parquet"
+        );
     }
 
     #[test]

@@ -97,7 +97,7 @@ impl AxisSim {
     /// Whether [`follow`](Self::follow) does what `begin`, `solve` and `commit` do.
     #[inline]
     pub fn goes_alone(&self) -> bool {
-        self.forces.is_empty()
+        self.forces.is_empty() && self.strain_loss.is_none()
     }
 
     /// Go through ticks without forces from outside. `output(amplifier, output_v, load)` is the amplifier's output

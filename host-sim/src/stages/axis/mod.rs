@@ -4,6 +4,7 @@
 //! number of times while neighbours are being solved), `commit`.
 
 mod alone;
+mod strain_loss;
 
 use super::amplifier::AmplifierSim;
 use super::creep::CreepSim;
@@ -13,6 +14,7 @@ use super::model::{AxisModel, Force, LOSS_AT_A, RateLaw};
 use crate::start::{Initial, Memory};
 
 pub use alone::Load;
+use strain_loss::StrainLossSim;
 
 /// Change of displacement at which a solve has converged, m: a ten-thousandth of the shortest length in any force.
 const TOLERANCE_M: f64 = 1.0e-13;
@@ -31,6 +33,7 @@ pub struct AxisSim {
     transformer: f64,
     capacitance: f64,
     drag: Drag,
+    strain_loss: Option<StrainLossSim>,
     skew_per_c: f64,
     imprint_v: f64,
     step_s: f64,
@@ -144,6 +147,9 @@ impl AxisSim {
                 exponent: piezo.loss_exponent,
                 v_per_c: piezo.resistance_ohm / step_s,
             },
+            strain_loss: piezo
+                .strain_loss
+                .map(|loss| StrainLossSim::new(loss, piezo.transformer_n_per_v, step_s)),
             skew_per_c: piezo.skew_per_c,
             imprint_v: piezo.imprint_v,
             step_s,
@@ -204,6 +210,9 @@ impl AxisSim {
             }
         }
         self.elements.set_charge(charge);
+        if let Some(loss) = &mut self.strain_loss {
+            loss.rest(charge);
+        }
     }
 
     /// Output of the amplifier at this tick, V.
@@ -273,13 +282,14 @@ impl AxisSim {
         let free = self.free_m + beta * (self.transformer * self.slow_v + outside_n);
         let per_volt = beta * self.transformer * (1.0 + self.slow_per_v);
         let forces_n = if self.forces.is_empty() {
-            self.solve_linear(free, per_volt);
+            self.solve_linear(free, per_volt, beta);
             0.0
         } else {
             self.solve_with_forces(free, per_volt, beta)
         };
         let driven = self.next_transducer_v * (1.0 + self.slow_per_v) + self.slow_v;
-        self.next_force_n = self.transformer * driven + forces_n + outside_n;
+        let lost_n = self.strain_loss.as_ref().map_or(0.0, |loss| loss.next_force_n);
+        self.next_force_n = self.transformer * driven + forces_n + lost_n + outside_n;
         self.next_position_m
     }
 
@@ -331,12 +341,13 @@ impl AxisSim {
     ) -> f64 {
         let stiffer = 1.0 - beta * slope;
         let base = value - slope * x_m;
-        self.solve_linear((free_m + beta * base) / stiffer, per_volt / stiffer);
+        self.solve_linear((free_m + beta * base) / stiffer, per_volt / stiffer, beta / stiffer);
         base + slope * self.next_position_m
     }
 
+    /// Solve where a volt of transducer voltage moves `per_volt` and a newton `beta`.
     #[inline]
-    fn solve_linear(&mut self, free_m: f64, per_volt: f64) {
+    fn solve_linear(&mut self, free_m: f64, per_volt: f64, beta: f64) {
         let branch = Branch {
             charge_at_zero_c: self.transformer * free_m,
             capacitance_f: self.transformer * per_volt + self.capacitance,
@@ -346,8 +357,45 @@ impl AxisSim {
             limit_scale: self.limit_scale,
             sum_scale: self.sum_scale,
         };
-        self.next_transducer_v = self.elements.solve(&branch);
-        self.next_position_m = free_m + per_volt * self.next_transducer_v;
+        let lost_n = match self.strain_loss {
+            Some(loss) => self.solve_with_loss(loss, &branch, beta),
+            None => {
+                self.next_transducer_v = self.elements.solve(&branch);
+                0.0
+            }
+        };
+        self.next_position_m = free_m + per_volt * self.next_transducer_v + beta * lost_n;
+    }
+
+    /// Newton on the charge, with the loss taken by its tangent, inside a bracket; the force of the loss. The charge at zero volts falls
+    /// with the loss, and the loss grows with the charge: there is one answer.
+    fn solve_with_loss(&mut self, mut loss: StrainLossSim, branch: &Branch, beta: f64) -> f64 {
+        let mut charge = loss.next_charge_c;
+        let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
+        for _ in 0..StrainLossSim::ROUNDS {
+            let (force, slope) = loss.force(charge);
+            let room = 1.0 - self.transformer * beta * slope;
+            let lost = self.transformer * beta * (force - slope * charge);
+            let branch = Branch {
+                charge_at_zero_c: (branch.charge_at_zero_c + lost) / room,
+                capacitance_f: branch.capacitance_f / room,
+                ..*branch
+            };
+            self.next_transducer_v = self.elements.solve(&branch);
+            let next = branch.charge_at_zero_c + branch.capacitance_f * self.next_transducer_v;
+            if (next - charge).abs() <= StrainLossSim::TOLERANCE_C {
+                break;
+            }
+            if next > charge {
+                low = low.max(charge);
+            } else {
+                high = high.min(charge);
+            }
+            charge = if next > low && next < high { next } else { 0.5 * (low + high) };
+        }
+        (loss.next_charge_c, loss.next_force_n) = (charge, loss.force(charge).0);
+        self.strain_loss = Some(loss);
+        loss.next_force_n
     }
 
     /// Accept the tick that was last solved.
@@ -360,6 +408,9 @@ impl AxisSim {
         }
         for force in &mut self.forces {
             force.commit(self.next_position_m, self.step_s);
+        }
+        if let Some(loss) = &mut self.strain_loss {
+            loss.commit();
         }
         self.force_n = self.next_force_n;
         self.transducer_v = self.next_transducer_v;

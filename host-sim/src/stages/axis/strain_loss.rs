@@ -1,0 +1,58 @@
+//! The loss between charge and strain, as a force that is solved for together with the charge.
+
+use crate::stages::model::StrainLoss;
+use crate::stages::speed::EndSpeed;
+
+/// The loss with the charge that it remembers.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct StrainLossSim {
+    force_n: f64,
+    /// 1/current, per coulomb a tick.
+    per_c: f64,
+    charge_c: f64,
+    rate: EndSpeed,
+    /// At the end of the tick that was last solved.
+    pub(super) next_charge_c: f64,
+    /// Force there, N.
+    pub(super) next_force_n: f64,
+}
+
+impl StrainLossSim {
+    /// Change of charge at which a solve has converged, C: 1e-13 m of a stack of 10 N/V.
+    pub(super) const TOLERANCE_C: f64 = 1.0e-15;
+    /// Most rounds of a solve.
+    pub(super) const ROUNDS: usize = 40;
+
+    pub(super) fn new(loss: StrainLoss, transformer: f64, step_s: f64) -> Self {
+        Self {
+            force_n: transformer * loss.voltage_v,
+            per_c: 1.0 / (loss.current_a * step_s),
+            charge_c: 0.0,
+            rate: EndSpeed::default(),
+            next_charge_c: 0.0,
+            next_force_n: 0.0,
+        }
+    }
+
+    /// At rest with a charge.
+    pub(super) fn rest(&mut self, charge_c: f64) {
+        (self.charge_c, self.next_charge_c, self.next_force_n) = (charge_c, charge_c, 0.0);
+        self.rate = EndSpeed::default();
+    }
+
+    /// Force (N) and its slope (N/C) if the tick ends with a charge.
+    #[inline]
+    pub(super) fn force(&self, charge_c: f64) -> (f64, f64) {
+        let (rate, faster) = self.rate.at(charge_c - self.charge_c);
+        let share = rate * self.per_c;
+        let slope = self.force_n * self.per_c * faster.max(0.0) / (1.0 + share * share).sqrt();
+        (-self.force_n * share.asinh(), -slope)
+    }
+
+    /// Accept the tick that was last solved.
+    #[inline]
+    pub(super) fn commit(&mut self) {
+        self.rate.commit(self.next_charge_c - self.charge_c);
+        self.charge_c = self.next_charge_c;
+    }
+}
