@@ -442,18 +442,6 @@ impl<'a> Search<'a> {
 
     /// Keep a fitted model for what follows, and as a rival.
     pub(crate) fn remember(&mut self, model: Model) {
-            eprintln!(
-                "TRY {:?} left {:.0} of {:.0} {:?}",
-                model
-                    .terms
-                    .iter()
-                    .map(|t| format!("{}{:?}", t.name(), t.axes()))
-                    .collect::<Vec<_>>(),
-                model.fit.cost - self.noise,
-                self.gap,
-                model.fit.values.iter().map(|v| format!("{v:.4e}")).collect::<Vec<_>>()
-            );
-        }
         self.tried.push(model);
         self.tried.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
     }
