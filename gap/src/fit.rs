@@ -9,7 +9,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::Error;
 use crate::descent::Descent;
-use crate::knobs::Knob;
+use crate::knobs::{Knob, keep_laws};
 use crate::scene::{Channel, Scene, Stack, Wanted, dot};
 
 /// A fitted set of knobs.
@@ -215,13 +215,14 @@ impl Sensitivities {
 pub fn fit(
     scene: &Scene,
     base: &Rig,
-    knobs: Vec<Knob>,
+    mut knobs: Vec<Knob>,
     start: Vec<f64>,
     effort: Effort,
     untouched: Option<&Stack>,
     include: &(dyn Fn(&Channel) -> bool + Sync),
 ) -> Result<Fit, Error> {
     let values: Vec<f64> = start.iter().zip(&knobs).map(|(v, k)| v.clamp(k.min, k.max)).collect();
+    keep_laws(&mut knobs, &values);
     let mut normal = DMatrix::zeros(knobs.len(), knobs.len());
     let mut descent = Descent::start(scene, base, &knobs, values, untouched, include)?;
     let mut falls_fast = true;

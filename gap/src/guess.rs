@@ -271,7 +271,9 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             let strain_loss = ("strain_loss_v", typical("strain_loss_v"));
             for share in [3.0e-4, 3.0e-3, 3.0e-2] {
                 let current_a = ("strain_loss_a", share * ranges.current_a);
-                wanted.push(with(&[strain_loss, current_a]));
+                for onset in [1.0, 2.0] {
+                    wanted.push(with(&[strain_loss, current_a, ("strain_onset", onset)]));
+                }
             }
         }
         "sensor-nonlinearity" => {

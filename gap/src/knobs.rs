@@ -205,6 +205,43 @@ pub(crate) fn is_plain(effect: EffectRef) -> bool {
     info.parameters.iter().filter(|p| !is_variety(p)).count() == 1
 }
 
+/// Parameters of an effect that has laws of its own kind, one list a law: a fit that starts from one of them stays with it.
+const LAWS: [(&str, [&[&str]; 2]); 1] = [(
+    "hysteresis-rate",
+    [
+        &["per_decade", "reference_a", "stiffening", "resistance_ohm", "loss_exponent"],
+        &["strain_loss_v", "strain_loss_a", "strain_onset"],
+    ],
+)];
+
+/// Freeze the parameters of laws that do nothing at `values` beside one that does, at the same place.
+pub(crate) fn keep_laws(knobs: &mut [Knob], values: &[f64]) {
+    let law_of = |knob: &Knob| {
+        let Target::Effect { effect, place, index } = &knob.target else { return None };
+        let info = effect.info();
+        let (_, laws) = LAWS.iter().find(|(name, _)| *name == info.name)?;
+        let parameter = &info.parameters[*index];
+        let law = laws.iter().position(|names| names.contains(&parameter.name))?;
+        Some((info.name, *place, law, parameter))
+    };
+    let acting: Vec<_> = knobs
+        .iter()
+        .zip(values)
+        .filter_map(|(knob, value)| law_of(knob).map(|law| (law, value)))
+        .filter(|((.., parameter), value)| {
+            parameter.role == Role::Size && **value != parameter.zero
+        })
+        .map(|((name, place, law, _), _)| (name, place, law))
+        .collect();
+    for (knob, &value) in knobs.iter_mut().zip(values) {
+        let Some((name, place, law, _)) = law_of(knob) else { continue };
+        let acts = |other: usize| acting.contains(&(name, place, other));
+        if !acts(law) && (0..2).any(acts) {
+            (knob.min, knob.max) = (value, value);
+        }
+    }
+}
+
 /// Fastest mode that is told from inertia, as a share of the sample rate.
 const FASTEST_MODE: f64 = 0.35;
 

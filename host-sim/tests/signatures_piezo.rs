@@ -166,6 +166,42 @@ fn a_series_loss_goes_with_the_stated_power_of_the_current() {
 }
 
 #[test]
+fn a_loss_between_charge_and_strain_goes_with_the_logarithm_of_the_current() {
+    // 60 V and back: half a milliampere at 2 Hz.
+    const AT_2_HZ_A: f64 = 0.5e-3;
+    let lost = |current_a: f64, onset: f64, hz: f64| {
+        let settings =
+            [("strain_loss_v", 0.05), ("strain_loss_a", current_a), ("strain_onset", onset)];
+        area(&single("hysteresis-rate", &settings), hz) - area(&one_axis(), hz)
+    };
+    let decade =
+        |current_a: f64, onset: f64| lost(current_a, onset, 20.0) / lost(current_a, onset, 2.0);
+    let (found, u) = (decade(1.0e-6, 1.0), AT_2_HZ_A / 1.0e-6);
+    let expected = (10.0 * u).ln() / u.ln();
+    assert!((found / expected - 1.0).abs() < 0.05, "{found} {expected}");
+    // Far below the current that it is stated for it goes with a power.
+    for onset in [1.0, 2.0] {
+        let (found, expected) = (decade(0.05, onset), 10.0_f64.powf(onset));
+        assert!((found / expected - 1.0).abs() < 0.1, "{onset}: {found} {expected}");
+    }
+}
+
+/// Charge flows as it did: the monitor's load is the same, and strain comes late on the way up and on the way down alike.
+#[test]
+fn strain_that_comes_late_does_so_in_both_directions() {
+    let settings = [("strain_loss_v", 0.1), ("strain_loss_a", 1.0e-4)];
+    let late = single("hysteresis-rate", &settings);
+    let of = |rig: &Rig| run(rig, 1e4, 0.15, triangle(60.0, 20.0)).position_m.remove(0);
+    let (plain, lossy) = (of(&one_axis()), of(&late));
+    // 0.1 V for each factor of e between 0.1 and 5 mA: 0.39 V, at some 0.1 um/V.
+    let expected = 0.1 * 50.0_f64.ln() * 0.1e-6;
+    for (quarter, sign) in [(1125, 1.0), (1375, -1.0)] {
+        let behind = sign * (plain[quarter] - lossy[quarter]);
+        assert!((0.6 * expected..1.3 * expected).contains(&behind), "{quarter}: {behind}");
+    }
+}
+
+#[test]
 fn creep_goes_with_the_logarithm_of_time_and_with_the_step() {
     let rig = single("creep", &[("per_decade", 0.015)]);
     let grown = |height: f64| {

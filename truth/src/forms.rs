@@ -25,10 +25,10 @@ pub(crate) fn apply(
         "amplifier-hum" => axis.amplifier_hum = hum(size, form, rng),
         "sensor-hum" => axis.sensor_hum = hum(size, form, rng),
         "hysteresis-rate" => {
-            axis.rate = if form.random_bool(0.5) {
-                Rate::Saturating(2.0 * size, between(form, 1e-4, 3e-3))
-            } else {
-                Rate::Relaxing(3.0 * size, between(form, 1e-3, 0.1))
+            axis.rate = match form.random_range(0..3) {
+                0 => Rate::Saturating(2.0 * size, between(form, 1e-4, 3e-3)),
+                1 => Rate::Relaxing(3.0 * size, between(form, 1e-3, 0.1)),
+                _ => Rate::Late(3.0 * size, between(form, 3e-4, 5e-3)),
             };
         }
         "creep" => axis.creep = Some(Creep::sparse(size, between(form, 0.02, 0.2))),

@@ -328,6 +328,9 @@ fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside: &Outside, dt: f6
         damping += level / state.speed.hypot(soft);
     }
     let mut force = outside.force_n + transformer * state.creep_v;
+    if let Rate::Late(volts, rate) = axis.rate {
+        force -= transformer * volts * (state.charge_rate / rate).asinh();
+    }
     // Each of these is linear in the new position: value and slope at the old one.
     let here = state.position_m;
     if let Some((hard, scale, exponent)) = axis.hardening {

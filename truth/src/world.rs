@@ -112,6 +112,8 @@ pub enum Rate {
     Saturating(f64, f64),
     /// A further voltage (V) at 1e-3 C/s that relaxes with this time constant (s): a resistor beside a capacitance.
     Relaxing(f64, f64),
+    /// The stack pushes by this voltage (V) less for each factor of e by which the rate grows beyond this one (C/s).
+    Late(f64, f64),
 }
 
 /// Creep with a logarithmic law: a response per decade of time, kept as densely spaced relaxations.

@@ -20,13 +20,14 @@ static INFO: Info = Info {
         Parameter::shape("reference_a", "A", (1.0e-8, 10.0), 1.0e-4, "current from which the limits grow").by_ratio(),
         Parameter::shape("stiffening", "1", (0.0, 1.0), 0.5, "share of the growth that the elements' stiffness takes part in"),
         Parameter::shape("loss_exponent", "1", (0.1, 1.0), 1.0, "power of the current that the voltage of the series loss goes with"),
-        Parameter::size("strain_loss_v", "V", 0.0, (0.0, 50.0), 0.2, "loss between charge and strain, as a voltage"),
+        Parameter::size("strain_loss_v", "V", 0.0, (0.0, 50.0), 0.2, "loss between charge and strain: growth by a factor of e of the current"),
         Parameter::shape("strain_loss_a", "A", (1.0e-7, 10.0), 2.0e-3, "current from which it grows with the logarithm").by_ratio(),
+        Parameter::shape("strain_onset", "1", (1.0, 3.0), 1.0, "power of the current that it goes with below that"),
     ],
     threshold: false,
     physics: "limit_i' = limit_i (1 + per_decade lg(1 + |dq/dt|/reference)), and resistance 1 mA (|dq/dt| / 1 mA)^loss_exponent in series: domain \
               walls need a larger field to move faster. With stiffening 1 the whole hysteresis voltage grows instead. A reference beyond all currents makes the growth linear in \
-              speed. Strain may also come later than charge: the stack pushes strain_loss asinh(|dq/dt| / strain_loss_a) less \
+              speed. Strain may also come later than charge: the stack pushes strain_loss ln(1 + u^onset)/onset, u = |dq/dt|/strain_loss_a, less \
               towards where it goes. Loop width at 0 Hz is untouched.",
     source: "rate-dependent Prandtl-Ishlinskii models, thresholds alpha + beta |du/dt|, 10.5772/58984 (notes/physics.md, 2)",
     revealed_by: "the same triangle at 0.1, 1, 10, 100 Hz",
@@ -58,7 +59,7 @@ impl Effect for HysteresisRate {
         piezo.loss_exponent = values[4];
         if values[5] != 0.0 {
             piezo.strain_loss =
-                Some(StrainLoss { voltage_v: values[5], current_a: values[6] });
+                Some(StrainLoss { voltage_v: values[5], current_a: values[6], onset: values[7] });
         }
         if values[0] != 0.0 {
             piezo.rate =

@@ -97,7 +97,7 @@ pub struct PiezoModel {
     pub resistance_ohm: f64,
     /// Power of the current that the voltage of this loss goes with, 1.
     pub loss_exponent: f64,
-    /// What the drag of domain walls takes from the force: voltage and current of [`StrainLoss`].
+    /// What the drag of domain walls takes from the force: see [`StrainLoss`].
     pub strain_loss: Option<StrainLoss>,
     /// How the limits grow with current.
     pub rate: Option<Box<dyn RateLaw>>,
@@ -105,14 +105,16 @@ pub struct PiezoModel {
     pub creep: Vec<Kelvin>,
 }
 
-/// Loss between charge and strain: the stack pushes as if the transducer voltage were `voltage_v asinh(|dq/dt| / current_a)` nearer to
-/// where it came from, while the charge flows as without.
+/// Loss between charge and strain: the stack pushes as if the transducer voltage were `voltage_v ln(1 + u^onset) / onset`,
+/// `u = |dq/dt| / current_a`, nearer to where it came from, while the charge flows as without.
 #[derive(Debug, Clone, Copy)]
 pub struct StrainLoss {
-    /// Scale of the loss, V.
+    /// Growth of the loss where the current grows by a factor of e, V.
     pub voltage_v: f64,
     /// Current from which it grows with the logarithm, A.
     pub current_a: f64,
+    /// Power of the current that it goes with far below that, 1.
+    pub onset: f64,
 }
 
 /// One slow strain: `share` of the transducer voltage arrives with `time_constant_s`.

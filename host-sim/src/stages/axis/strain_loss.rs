@@ -9,6 +9,7 @@ pub(super) struct StrainLossSim {
     force_n: f64,
     /// 1/current, per coulomb a tick.
     per_c: f64,
+    onset: f64,
     charge_c: f64,
     rate: EndSpeed,
     /// At the end of the tick that was last solved.
@@ -27,6 +28,7 @@ impl StrainLossSim {
         Self {
             force_n: transformer * loss.voltage_v,
             per_c: 1.0 / (loss.current_a * step_s),
+            onset: loss.onset,
             charge_c: 0.0,
             rate: EndSpeed::default(),
             next_charge_c: 0.0,
@@ -44,9 +46,11 @@ impl StrainLossSim {
     #[inline]
     pub(super) fn force(&self, charge_c: f64) -> (f64, f64) {
         let (rate, faster) = self.rate.at(charge_c - self.charge_c);
-        let share = rate * self.per_c;
-        let slope = self.force_n * self.per_c * faster.max(0.0) / (1.0 + share * share).sqrt();
-        (-self.force_n * share.asinh(), -slope)
+        let share = (rate * self.per_c).abs();
+        let power = share.powf(self.onset);
+        let growth = if share > 0.0 { power / share } else { share.powf(self.onset - 1.0) };
+        let slope = self.force_n * self.per_c * faster.max(0.0) * growth / (1.0 + power);
+        (-self.force_n * power.ln_1p() / self.onset * rate.signum(), -slope)
     }
 
     /// Accept the tick that was last solved.
