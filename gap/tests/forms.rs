@@ -4,7 +4,7 @@ use gap::diagnosis::Verdict;
 
 mod common;
 
-use common::{causes, drawn, drawn_of_the_paper};
+use common::{causes, drawn, drawn_in_a_further_form, drawn_of_the_paper};
 
 #[test]
 fn an_amplifier_with_a_second_pole_is_a_slow_amplifier() {
@@ -63,4 +63,26 @@ fn a_pump_is_not_the_hum_of_a_gauge_and_of_an_amplifier() {
     let diagnosis = drawn(2222, 15, &["unknown"]);
     assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Unexplained, vec![]));
     assert!(diagnosis.looks_like.as_ref().is_some_and(|words| words.contains("floor-hum")));
+}
+
+const LOSSES: [&str; 3] = ["hysteresis-rate", "friction", "viscoelasticity"];
+
+#[test]
+fn friction_that_falls_at_creeping_speeds_is_friction() {
+    let diagnosis = drawn_in_a_further_form(3201, 11, "friction", &LOSSES);
+    let named = vec![("friction", &[3][..])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+}
+
+#[test]
+fn relaxation_in_every_decade_is_viscoelasticity() {
+    let diagnosis = drawn_in_a_further_form(3201, 4, "viscoelasticity", &LOSSES);
+    let named = vec![("viscoelasticity", &[2][..])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+}
+
+#[test]
+fn a_loss_that_goes_with_the_rate_in_another_way_is_found() {
+    let diagnosis = drawn_in_a_further_form(3201, 6, "hysteresis-rate", &LOSSES);
+    assert_eq!(causes(&diagnosis), vec![("hysteresis-rate", &[1, 2, 3][..])]);
 }

@@ -62,3 +62,25 @@ fn a_gain_is_one() {
     assert_eq!(diagnosis.verdict, Verdict::Explained);
     assert!(!diagnosis.causes.is_empty());
 }
+
+#[test]
+fn the_drag_of_a_fluid_is_no_hysteresis() {
+    // Without the stranger it would be called hysteresis-rate.
+    let diagnosis = common::drawn_physics(3001, 14, "fluid-drag");
+    assert_nothing_is_named(&diagnosis, "stage-drag", "mechanism");
+}
+
+#[test]
+fn a_coupling_capacitor_is_no_creep() {
+    // It was, of a stack that creeps backwards.
+    let diagnosis = common::drawn_physics(3001, 34, "high-pass");
+    assert_eq!((diagnosis.verdict, common::causes(&diagnosis)), (Verdict::Unexplained, vec![]));
+}
+
+#[test]
+fn what_fades_from_a_reading_has_not_crept() {
+    let fading = [("fading", 0.03), ("time_constant_s", 0.3)];
+    let diagnosis = diagnosed("gauge-high-pass", &fading, &[]);
+    let named: Vec<&str> = diagnosis.causes.iter().map(|c| c.effect.as_str()).collect();
+    assert_eq!((diagnosis.verdict, &named[..]), (Verdict::Unexplained, &[][..]));
+}

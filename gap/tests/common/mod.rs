@@ -8,6 +8,7 @@ use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use recording::{Entry, Meta, Recording, Session};
 use truth::case::{Case, Draw};
+use truth::faults::Kind;
 
 const RATE_HZ: f64 = 10_000.0;
 const ROWS: usize = 12_000;
@@ -88,6 +89,31 @@ pub fn session_of(
 /// free to change, and then another case has to be chosen.
 pub fn drawn(seed: u64, index: u64, of: &[&str]) -> Diagnosis {
     diagnosed_case((seed, index), &Draw { other_rigs: true, ..Draw::default() }, of, &[])
+}
+
+/// The same with effects in further forms, one a case.
+pub fn drawn_in_a_further_form(seed: u64, index: u64, of: &str, among: &[&str]) -> Diagnosis {
+    let draw = Draw {
+        other_rigs: true,
+        further_forms: true,
+        weights: [0.0, 1.0, 0.0, 0.0],
+        only: among.iter().map(|name| (*name).to_string()).collect(),
+        ..Draw::default()
+    };
+    diagnosed_case((seed, index), &draw, &[of], &[])
+}
+
+/// The same with a fault that is physics of a healthy rig; the note of the case begins with the fault's name.
+pub fn drawn_physics(seed: u64, index: u64, fault: &str) -> Diagnosis {
+    let draw = Draw {
+        other_rigs: true,
+        weights: [0.0, 0.0, 0.0, 1.0],
+        faults: &Kind::PHYSICS,
+        ..Draw::default()
+    };
+    let drawn = Case::draw(seed, index, &draw).label.truth.swap_remove(0).note;
+    assert!(drawn.starts_with(fault), "seed {seed}, case {index} is {drawn}: choose a new one");
+    diagnosed_case((seed, index), &draw, &["unknown"], &[])
 }
 
 /// The same with this effect taken out of the catalogue.
