@@ -214,7 +214,10 @@ const LAWS: [(&str, [&[&str]; 2]); 1] = [(
     ],
 )];
 
-/// Freeze the parameters of laws that do nothing at `values` beside one that does, at the same place.
+/// Parameters that stay at their lower bound in a fit that starts there: a variety of the effect, of which there are starts of its own.
+const STAYS: [(&str, &str); 1] = [("friction", "creeping_m_per_s")];
+
+/// Freeze the parameters of laws that do nothing at `values` beside one that does, at the same place, and those of varieties that do nothing.
 pub(crate) fn keep_laws(knobs: &mut [Knob], values: &[f64]) {
     let law_of = |knob: &Knob| {
         let Target::Effect { effect, place, index } = &knob.target else { return None };
@@ -234,6 +237,12 @@ pub(crate) fn keep_laws(knobs: &mut [Knob], values: &[f64]) {
         .map(|((name, place, law, _), _)| (name, place, law))
         .collect();
     for (knob, &value) in knobs.iter_mut().zip(values) {
+        if let Target::Effect { effect, index, .. } = &knob.target {
+            let info = effect.info();
+            if STAYS.contains(&(info.name, info.parameters[*index].name)) && value <= knob.min {
+                knob.max = knob.min;
+            }
+        }
         let Some((name, place, law, _)) = law_of(knob) else { continue };
         let acts = |other: usize| acting.contains(&(name, place, other));
         if !acts(law) && (0..2).any(acts) {
