@@ -14,7 +14,7 @@ use crate::diagnosis::{AxisGap, Band};
 use crate::energy::Energies;
 use crate::fit::{Effort, cost};
 use crate::guess::Ranges;
-use crate::knobs::{EffectRef, axes_seen};
+use crate::knobs::{EffectRef, axes_seen, keep_laws};
 use crate::model::{Model, Term, join_terms, knobs_of, start_terms};
 use crate::scene::{Channel, Scene, Stack, Wanted};
 use crate::select::{Breadth, Search};
@@ -348,7 +348,8 @@ pub(crate) fn keep(
     for model in [&mut found.model, &mut found.whole] {
         let (terms, values): (Vec<Term>, Vec<Vec<f64>>) = model.part(&keep).into_iter().unzip();
         let values = values.concat();
-        let knobs = knobs_of(&terms, &model.ranges);
+        let mut knobs = knobs_of(&terms, &model.ranges);
+        keep_laws(&mut knobs, &values);
         model.fit.rig = crate::fit::rig_with(rig, &knobs, &values)?;
         model.fit.at_bound = vec![false; knobs.len()];
         model.fit.normal = nalgebra::DMatrix::identity(knobs.len(), knobs.len());

@@ -245,7 +245,7 @@ pub(crate) fn keep_laws(knobs: &mut [Knob], values: &[f64]) {
         }
         let Some((name, place, law, _)) = law_of(knob) else { continue };
         let acts = |other: usize| acting.contains(&(name, place, other));
-        if !acts(law) && (0..2).any(acts) {
+        if !acts(law) && LAWS.iter().any(|(_, laws)| (0..laws.len()).any(acts)) {
             (knob.min, knob.max) = (value, value);
         }
     }

@@ -21,7 +21,7 @@ const OPEN: f64 = 1.0e-3;
 /// Most that a stranger may leave, as a share of what as many causes leave.
 const CLEARLY_LESS: f64 = 0.5;
 
-/// ... while it leaves no more than this multiple of it in any recording.
+/// Most that a stranger may leave of any recording, as a multiple of what the causes leave of it.
 const MORE: f64 = 1.2;
 
 /// A stranger that passed for causes.

@@ -235,6 +235,22 @@ fn friction_steps_by_the_same_force_at_every_reversal() {
     assert!((gap(1.0, 1e4) / gap(0.2, 2e3) - 1.0).abs() < 0.02);
 }
 
+/// A stage that starts away from zero rests where friction caught it on its way there.
+#[test]
+fn friction_holds_a_stage_where_it_starts() {
+    for presliding_m in [1e-9, 1e-7] {
+        let rig = single("friction", &[("coulomb_n", 5.0), ("presliding_m", presliding_m)]);
+        let rest = |rig: &Rig| run(rig, 1e4, 0.05, |_| 60.0).position_m.remove(0);
+        let (plain, held) = (rest(&one_axis()), rest(&rig));
+        let short = plain[0] - held[0];
+        let most = over_branch(|branch| 5.0 / (STAGE_N_PER_M + branch)).end;
+        // It was let go there at no more than the friction's reach, and stays.
+        assert!((0.0..1.05 * most).contains(&short), "{presliding_m}: {short} of {most}");
+        let moved = (held[499] - held[0]).abs();
+        assert!(moved < 0.02 * most, "{presliding_m}: {moved} of {most}");
+    }
+}
+
 /// Below its creeping speed a guide rubs in proportion to the speed, far above it as it does without one.
 #[test]
 fn friction_falls_at_creeping_speeds() {

@@ -186,7 +186,7 @@ fn a_loss_between_charge_and_strain_goes_with_the_logarithm_of_the_current() {
     }
 }
 
-/// Charge flows as it did: the monitor's load is the same, and strain comes late on the way up and on the way down alike.
+/// By the voltage of the loss times what a volt moves, give or take the stiffening by what the stage lacks.
 #[test]
 fn strain_that_comes_late_does_so_in_both_directions() {
     let settings = [("strain_loss_v", 0.1), ("strain_loss_a", 1.0e-4)];

@@ -34,7 +34,7 @@ pub struct Draw {
     pub only: Vec<String>,
     /// Whether effects take further forms ([`crate::forms`]).
     pub further_forms: bool,
-    /// Faults to draw from where one is drawn.
+    /// Faults to draw from where one is drawn; not empty.
     pub faults: &'static [Kind],
 }
 
@@ -167,12 +167,16 @@ impl Case {
                 }
             }
             3 => {
-                let fault = *draw.faults.choose(&mut rng).expect("not empty");
+                let fault =
+                    *draw.faults.choose(&mut rng).expect("not empty, as its documentation asks");
                 let one = rng.random_range(0..axes);
                 let on = if rng.random_bool(0.3) { 0..axes } else { one..one + 1 };
-                let (size, ratio) = trial.sized_fault(fault, &on, draw.ratio, &mut rng);
+                let (size, ratio, sized) = trial.sized_fault(fault, &on, draw.ratio, &mut rng);
                 for axis in on.clone() {
-                    world.faults.push(Fault::new(axis, fault, size, rng.random()));
+                    // What is broken throws other dice than when it was sized; physics stays what it was.
+                    let is_physics = Kind::PHYSICS.contains(&fault);
+                    let seed = if is_physics { sized } else { rng.random() };
+                    world.faults.push(Fault::new(axis, fault, size, seed));
                 }
                 truth.push(Truth {
                     effect: "unknown".into(),
@@ -337,7 +341,7 @@ impl Trial<'_> {
         on: &Range<usize>,
         range: (f64, f64),
         rng: &mut impl Rng,
-    ) -> (f64, f64) {
+    ) -> (f64, f64, u64) {
         let nominal = self.positions(|_| {});
         let seed = rng.random();
         let mut size = kind.draw(rng);
@@ -350,10 +354,13 @@ impl Trial<'_> {
                 break;
             }
             size *= (wanted / ratio.max(1e-3)).clamp(0.2, 5.0);
-            if matches!(kind, Kind::Freeze | Kind::Dropout | Kind::Brownout) {
+            if matches!(
+                kind,
+                Kind::Freeze | Kind::Dropout | Kind::Brownout | Kind::HighPass | Kind::SupplySag
+            ) {
                 size = size.min(0.9);
             }
         }
-        (size, ratio)
+        (size, ratio, seed)
     }
 }

@@ -57,7 +57,7 @@ pub enum Kind {
     SelfHeating,
     /// The gauge's amplifier has a coupling capacitor: what lasts fades from the reading (share of it that fades).
     HighPass,
-    /// The conditioner does not follow faster than a certain rate (share of 100 um/ms that it lacks, as in `1/(1 + size)`).
+    /// The conditioner does not follow faster than a certain rate, 100 um/ms / (1 + size).
     SlewLimit,
     /// The moving stage tilts: a gauge sees the product of two axes' displacements (m at 10 um by 10 um).
     Tilt,

@@ -23,7 +23,7 @@ static INFO: Info = Info {
               side within a few presliding lengths, whatever the stroke; presliding -> 0 is Coulomb. In closed form over a \
               tick, so it does not depend on the step. The level is coulomb tanh(v/creeping): a lubricated guide \
               rubs less the slower it goes; at the smallest creeping speed it is the same at all speeds.",
-    source: "Dahl, 1968; Stribeck's left branch; a touching cable, a guide or a stop; loop height constant in force (notes/gap.md, section 3)",
+    source: "Dahl, 1968; Coulomb's level made smooth with a hyperbolic tangent; a touching cable, a guide or a stop; loop height constant in force (notes/gap.md, section 3)",
     revealed_by: "slow triangles at small and large strokes: the same step at each reversal",
     confused_with: &["hysteresis-shape", "preload-loss", "hysteresis-rate"],
 };
@@ -39,20 +39,31 @@ struct Dahl {
 }
 
 impl Force for Dahl {
+    fn start(&mut self, _time_s: f64) {
+        (self.step_s, self.force_n, self.speed) = (0.0, 0.0, EndSpeed::default());
+    }
+
     fn begin(&mut self, step_s: f64) {
         self.step_s = step_s;
     }
 
     fn force(&self, x_m: f64) -> (f64, f64) {
         let travel = x_m - self.at_m;
-        // At rest there is no speed to fall with: next to nothing, but a number.
-        let creeping = (self.creeping_m_per_s * self.step_s).max(1.0e-30);
-        let (speed, faster) = self.speed.at(travel);
-        let level = (speed / creeping).tanh();
+        let (level, rise) = if self.step_s > 0.0 {
+            let creeping_m = self.creeping_m_per_s * self.step_s;
+            let (speed, faster) = self.speed.at(travel);
+            let level = (speed / creeping_m).tanh();
+            (level, self.coulomb_n * (1.0 - level * level) / creeping_m * faster)
+        } else {
+            // On the way to rest there is no speed to fall with.
+            (1.0_f64.copysign(travel), 0.0)
+        };
         let kept = (-travel.abs() / self.presliding_m).exp();
         let left = (self.force_n + self.coulomb_n * level) * kept;
-        let rise = self.coulomb_n * (1.0 - level * level) / creeping * faster.max(0.0) * (1.0 - kept);
-        (left - self.coulomb_n * level, -rise - left.abs() / self.presliding_m)
+        // Where the level falls faster than the force follows, the slope is taken for none, so that a tangent points to the side of the
+        // answer.
+        let holding = (left * travel.signum()).max(0.0) / self.presliding_m;
+        (left - self.coulomb_n * level, -rise * (1.0 - kept) - holding)
     }
 
     fn commit(&mut self, x_m: f64, step_s: f64) {

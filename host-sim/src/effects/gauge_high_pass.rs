@@ -43,13 +43,16 @@ struct HighPass {
     fading: f64,
     /// Share of the way that the average goes in a tick.
     share: f64,
-    average_m: f64,
+    /// Average of what was read; a stage that is looked at first has been there for long.
+    average_m: Option<f64>,
 }
 
 impl SensorBlock for HighPass {
     fn read(&mut self, value_m: f64, _bare_m: &[f64], _time_s: f64) -> f64 {
-        self.average_m += (value_m - self.average_m) * self.share;
-        value_m - self.fading * self.average_m
+        let average_m = self.average_m.unwrap_or(value_m);
+        let average_m = average_m + (value_m - average_m) * self.share;
+        self.average_m = Some(average_m);
+        value_m - self.fading * average_m
     }
 }
 
@@ -60,7 +63,7 @@ impl Effect for GaugeHighPass {
 
     fn apply(&self, values: &[f64], place: Place, model: &mut Model, step_s: f64) {
         let share = -(-step_s / values[1]).exp_m1();
-        let block = HighPass { fading: values[0], share, average_m: 0.0 };
+        let block = HighPass { fading: values[0], share, average_m: None };
         model.axes[place.on()].sensor.blocks.push(Box::new(block));
     }
 }

@@ -61,6 +61,10 @@ struct Drag {
 }
 
 impl Force for Drag {
+    fn start(&mut self, _time_s: f64) {
+        (self.step_s, self.speed) = (0.0, EndSpeed::default());
+    }
+
     fn begin(&mut self, step_s: f64) {
         self.step_s = step_s;
     }
@@ -76,11 +80,13 @@ impl Force for Drag {
         let fluid = self.fluid_n * v.abs() / FLUID_AT_M_PER_S.powi(2);
         // Where the brake lets go the slope is taken for none: the step stays stable.
         let held = brake * ((1.0 - u * u) / (1.0 + u * u)).max(0.0) / self.speed_m_per_s;
-        (-brake * u - fluid * v, -(held + 2.0 * fluid) * faster.max(0.0) / self.step_s)
+        (-brake * u - fluid * v, -(held + 2.0 * fluid) * faster / self.step_s)
     }
 
-    fn commit(&mut self, x_m: f64, _step_s: f64) {
-        self.speed.commit(x_m - self.at_m);
+    fn commit(&mut self, x_m: f64, step_s: f64) {
+        if step_s > 0.0 {
+            self.speed.commit(x_m - self.at_m);
+        }
         self.at_m = x_m;
     }
 }

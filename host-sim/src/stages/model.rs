@@ -106,7 +106,7 @@ pub struct PiezoModel {
 }
 
 /// Loss between charge and strain: the stack pushes as if the transducer voltage were `voltage_v ln(1 + u^onset) / onset`,
-/// `u = |dq/dt| / current_a`, nearer to where it came from, while the charge flows as without.
+/// `u = |dq/dt| / current_a`, nearer to where it came from; the charge falls only by what the stage lacks in displacement.
 #[derive(Debug, Clone, Copy)]
 pub struct StrainLoss {
     /// Growth of the loss where the current grows by a factor of e, V.

@@ -11,11 +11,12 @@ const GROWS: f64 = 2.0;
 /// What was gone in the tick before.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct EndSpeed {
+    /// In units of the travel.
     before: f64,
 }
 
 impl EndSpeed {
-    /// Speed at the end (in units of the travel, a tick) after `travel` in this tick, and its slope with the travel.
+    /// Speed at the end (in units of the travel, a tick) after `travel` in this tick, and its slope with the travel, never negative.
     pub(crate) fn at(self, travel: f64) -> (f64, f64) {
         let r = travel / self.before;
         // Not a number where both are zero.
@@ -41,7 +42,7 @@ impl EndSpeed {
 fn factor(r: f64) -> (f64, f64) {
     let more = r - 1.0;
     if more.abs() < 1.0e-3 {
-        return (1.0 + 0.5 * more, 0.5);
+        return (1.0 + more * (0.5 - more / 6.0), 0.5 - more / 3.0);
     }
     let log = r.ln();
     (r * log / more, (more - log) / (more * more))

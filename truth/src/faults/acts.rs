@@ -26,7 +26,8 @@ pub struct Fault {
     pub(super) speed: f64,
     phase: f64,
     tick: Option<usize>,
-    /// See [`physics::drawn`].
+    /// What a kind of physics has beside its size: see [`physics::drawn`], which says the unit. Not drawn for what is broken: the dice of
+    /// earlier seeds stay what they are.
     pub(super) constant: f64,
     /// Reading before (m).
     pub(super) last: f64,
@@ -138,7 +139,10 @@ impl Fault {
                 self.value
             }
             Kind::Warming => reading * (1.0 + size * (1.0 - (-time / every).exp())),
-            _ => self.conditioned(time, reading, seen),
+            Kind::SelfHeating | Kind::HighPass | Kind::SlewLimit | Kind::Tilt | Kind::Jitter => {
+                self.conditioned(time, reading, seen)
+            }
+            _ => reading,
         }
     }
 

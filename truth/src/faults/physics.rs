@@ -16,9 +16,10 @@ const SLEW_M_PER_S: f64 = 0.1;
 /// Displacement at which a tilt is given (m).
 const TILT_AT_M: f64 = 1e-5;
 
-/// Parameters of a kind that are drawn once: critical speed (m/s) of a brake, place (m) of a stop, time constant (s) of the others.
-pub(super) fn drawn(kind: Kind, unit: f64) -> f64 {
-    let between = |low: f64, high: f64| low * (high / low).powf(unit);
+/// What a kind has beside its size, from a share of 0 to 1: critical speed (m/s) of a brake, place (m) of a stop, time constant (s) of the
+/// others.
+pub(super) fn drawn(kind: Kind, share: f64) -> f64 {
+    let between = |low: f64, high: f64| low * (high / low).powf(share);
     match kind {
         Kind::Brake => between(5e-4, 2e-2),
         Kind::EndStop => between(4e-6, 8e-6),
@@ -56,7 +57,6 @@ impl Fault {
     pub(super) fn conditioned(&mut self, time: f64, reading: f64, seen: &[f64]) -> f64 {
         let dt = self.elapsed_s(time);
         let relax = -(-dt / self.constant).exp_m1();
-        // The clock jumps between files, the stage does not move then.
         let speed = if dt > 0.0 { (reading - self.last) / dt } else { 0.0 };
         self.last = reading;
         match self.kind {
@@ -89,7 +89,7 @@ impl Fault {
             Kind::SupplySag => {
                 let relax = -(-self.elapsed_s(time) / self.constant).exp_m1();
                 self.value += (current.abs() / SAG_AT_A - self.value) * relax;
-                asked * (1.0 - self.size * self.value)
+                asked * (1.0 - self.size * self.value).max(0.0)
             }
             Kind::DeadBand => {
                 if (asked - self.value).abs() > self.size {

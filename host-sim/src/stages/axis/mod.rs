@@ -372,6 +372,7 @@ impl AxisSim {
     fn solve_with_loss(&mut self, mut loss: StrainLossSim, branch: &Branch, beta: f64) -> f64 {
         let mut charge = loss.next_charge_c;
         let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
+        let mut lost_n = 0.0;
         for _ in 0..StrainLossSim::ROUNDS {
             let (force, slope) = loss.force(charge);
             let room = 1.0 - self.transformer * beta * slope;
@@ -383,7 +384,10 @@ impl AxisSim {
             };
             self.next_transducer_v = self.elements.solve(&branch);
             let next = branch.charge_at_zero_c + branch.capacitance_f * self.next_transducer_v;
+            // Of the line that was solved.
+            lost_n = force + slope * (next - charge);
             if (next - charge).abs() <= StrainLossSim::TOLERANCE_C {
+                charge = next;
                 break;
             }
             if next > charge {
@@ -393,9 +397,9 @@ impl AxisSim {
             }
             charge = if next > low && next < high { next } else { 0.5 * (low + high) };
         }
-        (loss.next_charge_c, loss.next_force_n) = (charge, loss.force(charge).0);
+        (loss.next_charge_c, loss.next_force_n) = (charge, lost_n);
         self.strain_loss = Some(loss);
-        loss.next_force_n
+        lost_n
     }
 
     /// Accept the tick that was last solved.

@@ -49,7 +49,7 @@ impl StrainLossSim {
         let share = (rate * self.per_c).abs();
         let power = share.powf(self.onset);
         let growth = if share > 0.0 { power / share } else { share.powf(self.onset - 1.0) };
-        let slope = self.force_n * self.per_c * faster.max(0.0) * growth / (1.0 + power);
+        let slope = self.force_n * self.per_c * faster * growth / (1.0 + power);
         (-self.force_n * power.ln_1p() / self.onset * rate.signum(), -slope)
     }
 
