@@ -10,7 +10,7 @@ pub mod case;
 pub mod effects;
 pub mod excitation;
 pub mod faults;
-mod forms;
+pub mod forms;
 pub mod hysteresis;
 pub mod rig;
 pub mod score;
