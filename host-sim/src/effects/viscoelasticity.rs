@@ -34,7 +34,7 @@ static INFO: Info = Info {
     threshold: false,
     physics: "A Maxwell branch (spring branch, damper branch * time_constant) and a damper beside the mechanism's spring: \
               polymer in the load path, glue. One exponential after each step, in proportion to force; one loss peak. \
-              A polymer's relaxation times spread: five branches have the first nine moments of a log-normal spectrum. \
+              A polymer's relaxation times spread: five branches have the first nine moments of the normal distribution of their logarithm. \
               Propagated exactly.",
     source: "nylon platform of the second paper, relaxation of about 1 s (notes/physics.md, section 6)",
     revealed_by: "held steps, triangles from 0.1 to 20 Hz",
@@ -61,7 +61,7 @@ impl LinearBlock for MaxwellBranch {
 }
 
 /// Shares of the branches and the standard deviations by which the logarithms of their times are off: Gauss-Hermite quadrature of order 5
-/// (Abramowitz and Stegun, table 25.10).
+/// (Abramowitz and Stegun, table 25.10, rescaled to a standard deviation of one).
 fn nodes(spread_decades: f64) -> &'static [(f64, f64)] {
     const ONE: [(f64, f64); 1] = [(1.0, 0.0)];
     const FIVE: [(f64, f64); 5] = [
