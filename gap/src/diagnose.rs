@@ -112,7 +112,7 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
     if nominal.any_gap() {
         past::tell(&mut scene, rig, &effects, &ranges)?;
         bar.set_message("screening the catalogue");
-        found = found::search(&scene, rig, &effects, &ranges, &bar, &nominal.gaps)?;
+        found = found::search((&scene, rig), &effects, &ranges, &bar, &nominal.gaps, None)?;
         let missed = match &found {
             Some(f) => f.missed.clone(),
             // Nothing found in the fitted ones: the gap may be in the others alone.
@@ -140,7 +140,9 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
                 let white = other.residuals_at(rig, Wanted::ALL, everything)?;
                 of_other = Nominal::new(&mut other, rig, &white)?;
             }
-            let second = found::search(&other, rig, &effects, &ranges, &bar, &of_other.gaps)?;
+            let session = (&other, rig);
+            let known = found.as_ref();
+            let second = found::search(session, &effects, &ranges, &bar, &of_other.gaps, known)?;
             // The look that closes more of the whole session stands.
             let open = |scene: &Scene, raw: &Stack, found: &Option<Found>| -> Result<f64, Error> {
                 let Some(f) = found else { return Ok(f64::INFINITY) };

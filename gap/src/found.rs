@@ -37,18 +37,19 @@ pub(crate) struct Found {
     pub band: Option<Band>,
 }
 
-/// Search the fitted recordings and check the model on the others.
+/// Search the fitted recordings, beside what `before` found in others, and check the model on those that were not fitted.
 pub(crate) fn search(
-    scene: &Scene,
-    rig: &Rig,
+    (scene, rig): (&Scene, &Rig),
     effects: &[EffectRef],
     ranges: &Ranges,
     bar: &ProgressBar,
     gaps: &[AxisGapSize],
+    before: Option<&Found>,
 ) -> Result<Option<Found>, Error> {
     let fitted = |c: &Channel| !c.held_out;
     let tick = || bar.inc(1);
     let mut search = Search::new(scene, rig, effects, ranges, &fitted, &tick)?;
+    search.known = before.map_or_else(Vec::new, |before| start_terms(&before.model));
     bar.set_message("fitting");
     let whole = search.run()?;
     let Some(model) = by_axis(&mut search, whole, effects, gaps)? else { return Ok(None) };
@@ -177,6 +178,8 @@ fn by_axis(
         let ranges = search.ranges.clone();
         let mut alone = Search::new(scene, rig, effects, &ranges, &include, &tick)?;
         alone.breadth = Breadth::BRIEF;
+        let here = |_: &Term, alone: &Term| alone.places[0] == Place::Axis(axis);
+        alone.known = model.as_ref().map_or_else(Vec::new, |m| m.part(here));
         let Some(own) = alone.run()? else { continue };
         if !closed(&own.fit.rig)?[axis].is_some_and(accept::names) {
             continue;

@@ -149,8 +149,11 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             }
         }
         "amplifier-current-limit" => {
-            for share in [0.8, 0.5, 0.25, 0.1] {
-                wanted.push(with(&[("current_a", share * ranges.current_a)]));
+            // A knee acts with more than its square: a fit that starts from a corner never finds it.
+            for knee in [0.0, 0.3] {
+                for share in [0.8, 0.5, 0.25, 0.1] {
+                    wanted.push(with(&[("current_a", share * ranges.current_a), ("knee", knee)]));
+                }
             }
         }
         "preload-loss" => {

@@ -71,6 +71,9 @@ pub enum Target {
     },
 }
 
+/// Natural scale of a shape that is a share.
+const SHARE_STEP: f64 = 0.1;
+
 impl Knob {
     /// Knob for a parameter of an effect.
     pub fn effect(effect: EffectRef, place: Place, index: usize) -> Self {
@@ -79,6 +82,9 @@ impl Knob {
             (0.0, p.typical)
         } else if p.role == Role::Size {
             (p.zero, (p.typical - p.zero).abs())
+        } else if (p.min, p.max) == (0.0, 1.0) {
+            // From one kind to another: a fit has to get there from either end.
+            (0.0, SHARE_STEP)
         } else {
             (0.0, p.typical.abs().max(1.0e-3 * (p.max - p.min)))
         };
@@ -215,7 +221,8 @@ const LAWS: [(&str, [&[&str]; 2]); 1] = [(
 )];
 
 /// Parameters that stay at their lower bound in a fit that starts there: a variety of the effect, of which there are starts of its own.
-const STAYS: [(&str, &str); 1] = [("friction", "creeping_m_per_s")];
+const STAYS: [(&str, &str); 2] =
+    [("friction", "creeping_m_per_s"), ("amplifier-current-limit", "knee")];
 
 /// Freeze the parameters of laws that do nothing at `values` beside one that does, at the same place, and those of varieties that do nothing.
 pub(crate) fn keep_laws(knobs: &mut [Knob], values: &[f64]) {

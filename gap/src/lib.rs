@@ -50,6 +50,8 @@ mod strangers;
 mod swap;
 mod threshold;
 mod trade;
+mod variety;
+mod widen;
 
 pub use control::{ForControl, for_control};
 pub use diagnose::{Outcome, diagnose};

@@ -18,6 +18,11 @@ const LOOP: &str = "hysteresis-shape";
 /// Its parameters beyond the plain ones.
 const FURTHER: [&str; 4] = ["bend", "imprint_v", "yield", "spread"];
 
+/// Those that take the corners off a loop, and how far they do where a fit did not get away from corners.
+const GIVEN_WAY: [(&str, f64); 2] = [("yield", 0.3), ("spread", 0.3)];
+/// Share of the cost that a fit which got nowhere leaves.
+const STUCK: f64 = 0.999;
+
 /// The effect that other laws of a loop are most like: the same memory, of a force instead of a voltage.
 const FRICTION: &str = "friction";
 
@@ -43,6 +48,23 @@ pub(crate) fn rests(effect: &str, parameter: &str) -> bool {
     effect == LOOP && FURTHER.contains(&parameter)
 }
 
+/// Values of a model with elements that give way and have spread: from a loop with corners a fit may not get to one without.
+fn given_way(model: &Model) -> Vec<f64> {
+    let mut values = model.fit.values.clone();
+    for (t, term) in model.terms.iter().enumerate().filter(|(_, term)| term.name() == LOOP) {
+        let parameters = term.effect.info().parameters;
+        for place in model.knob_range(t).step_by(parameters.len()) {
+            for (value, parameter) in values[place..].iter_mut().zip(parameters) {
+                if let Some((_, start)) = GIVEN_WAY.iter().find(|(name, _)| *name == parameter.name)
+                {
+                    *value = *start;
+                }
+            }
+        }
+    }
+    values
+}
+
 /// Axes with a loop of another kind.
 fn places(model: &Model) -> usize {
     model.terms.iter().find(|term| term.name() == LOOP).map_or(usize::MAX, |term| term.places.len())
@@ -53,9 +75,12 @@ impl Search<'_> {
     pub(crate) fn with_any_loop(&mut self, plain: Option<Model>) -> Result<Option<Model>, Error> {
         let is_loop = |model: &&Model| model.key() == [LOOP];
         let alone = self.tried.iter().find(is_loop).cloned();
-        let own = alone.map(|alone| (self.axes_of_loop(&alone, &self.base), alone));
+        let own = alone.map(|alone| (self.axes_of_loop(&alone, &self.base, &self.base), alone));
         // What is loud and none of a loop hides one that stands beside it.
-        let beside = plain.as_ref().and_then(|plain| self.loop_beside_others(plain));
+        let beside = plain.as_ref().and_then(|plain| {
+            let beside = self.loop_beside_others(plain, |_| &self.base);
+            beside.or_else(|| self.loop_instead(plain))
+        });
         let bound: Vec<(u32, Model)> = own.into_iter().chain(beside).filter(|b| b.0 != 0).collect();
         let is_closed = |m: &Model| {
             m.terms.len() < MOST_EFFECTS
@@ -79,7 +104,10 @@ impl Search<'_> {
             let terms = start_terms(&bound).into_iter();
             let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = terms.unzip();
             let effort = Effort { iterations: ITERATIONS, hopeless: enough, ..self.effort() };
-            let freed = self.fit_model(terms, start.concat(), effort)?;
+            let mut freed = self.fit_model(terms.clone(), start.concat(), effort)?;
+            if freed.fit.cost > STUCK * bound.fit.cost {
+                freed = self.fit_model(terms, given_way(&bound), effort)?;
+            }
             let before = self.left_on(&bound.fit.stack, axes).max(0.0);
             is_another_law = self.left_on(&freed.fit.stack, axes) < ANOTHER_LAW * before
                 && freed.fit.cost < enough;
@@ -125,18 +153,43 @@ impl Search<'_> {
         self.scene.cost_on(stack, axes) - self.scene.noise_on(stack, axes)
     }
 
-    /// Axes (a mask) on which the loop of a model is a good part of the answer, beside what leaves `without` it.
-    fn axes_of_loop(&self, model: &Model, without: &Stack) -> u32 {
+    /// Axes (a mask) on which the loop of a model, beside what leaves `without` it, is a good part of the answer to what `asks`.
+    fn axes_of_loop(&self, model: &Model, without: &Stack, asks: &Stack) -> u32 {
+        let whole = self.left_on(asks, u32::MAX);
         (0..self.nominal.axes.len()).map(|axis| 1 << axis).fold(0, |axes, bit| {
-            let gap = self.left_on(&self.base, bit);
+            let gap = self.left_on(asks, bit);
             let saved = self.left_on(without, bit) - self.left_on(&model.fit.stack, bit);
-            if gap > COUNTS * self.gap && saved > PLAIN_LOOP * gap { axes | bit } else { axes }
+            if gap > COUNTS * whole && saved > PLAIN_LOOP * gap { axes | bit } else { axes }
         })
     }
 
+    /// The best model with a plain loop in the place of one effect of `model` that bends to what a loop of another law does, whether there
+    /// is a loop beside it or not.
+    fn loop_instead(&self, model: &Model) -> Option<(u32, Model)> {
+        if model.terms.len() < 2 {
+            return None;
+        }
+        let instead = |term: &Term| {
+            let is_like = term.effect.info().confused_with.contains(&LOOP);
+            let mut names = model.key();
+            names.retain(|name| *name != term.name() && *name != LOOP);
+            names.push(LOOP);
+            names.sort_unstable();
+            let known = self.tried.iter().find(|known| is_like && known.key() == names)?;
+            // What the others account for says nothing of the one in its place.
+            self.loop_beside_others(known, |without| without)
+        };
+        model.terms.iter().find_map(instead)
+    }
+
     /// A model of several effects with a loop among them that is a good part of the answer on some axes. Friction is left out: it makes
-    /// up for a law that the plain loop does not have.
-    fn loop_beside_others(&self, model: &Model) -> Option<(u32, Model)> {
+    /// up for a law that the plain loop does not have. `asks` picks what the loop has to be a part of the answer to, given what the others
+    /// leave.
+    fn loop_beside_others<'a>(
+        &'a self,
+        model: &Model,
+        asks: impl Fn(&'a Stack) -> &'a Stack,
+    ) -> Option<(u32, Model)> {
         // The best one comes first.
         let with = |names: &[&str]| self.tried.iter().find(|known| known.key() == names);
         let mut names = model.key();
@@ -146,7 +199,7 @@ impl Search<'_> {
         let at = names.iter().position(|name| *name == LOOP)?;
         names.remove(at);
         let without = if names.is_empty() { &self.base } else { &with(&names)?.fit.stack };
-        let axes = self.axes_of_loop(&bound, without);
+        let axes = self.axes_of_loop(&bound, without, asks(without));
         (axes != 0).then_some((axes, bound))
     }
 }

@@ -6,7 +6,7 @@ use host_sim::rig::Rig;
 use crate::Error;
 use crate::fit::Fit;
 use crate::guess::Ranges;
-use crate::knobs::{EffectRef, Knob, knobs_at};
+use crate::knobs::{EffectRef, Knob, is_plain, knobs_at};
 
 /// One effect and the places where it acts.
 #[derive(Clone)]
@@ -71,6 +71,11 @@ impl Model {
     pub(crate) fn numbers(&self) -> usize {
         let counts = |knob: &&Knob| !knob.is_frozen() && !knob.is_variety();
         self.fit.knobs.iter().filter(counts).count()
+    }
+
+    /// Whether every effect is one number at each place, or one beside which others only tell varieties apart.
+    pub(crate) fn is_plain(&self) -> bool {
+        self.terms.iter().all(|term| is_plain(term.effect))
     }
 
     /// Number of knobs that a term has.

@@ -9,7 +9,7 @@ use host_sim::rig::Rig;
 
 use crate::Error;
 use crate::few::{Few, Line};
-use crate::fit::{Effort, Sensitivities, cost, fit};
+use crate::fit::{Effort, cost, fit};
 use crate::guess::Ranges;
 use crate::knobs::EffectRef;
 use crate::model::{Model, Term, knobs_of, start_terms};
@@ -22,9 +22,9 @@ pub struct Breadth {
     /// Singles that are fitted after the screen.
     shortlist: usize,
     /// Models that the search for a further effect starts from.
-    beam: usize,
+    pub(crate) beam: usize,
     /// Partners that are fitted for each of them.
-    partners: usize,
+    pub(crate) partners: usize,
     /// Effects that are tried in the place of each one of the model chosen.
     pub(crate) swaps: usize,
     /// ... and how many of a single parameter beside them.
@@ -57,12 +57,7 @@ const WORTH_OF_FIRST: f64 = 0.05;
 /// Share of the gap that the effects which a screen promised leave at most, or the others are fitted as well.
 const MOSTLY_OPEN: f64 = 0.5;
 /// Share of the gap below which no better start is looked for.
-const CLOSED: f64 = 0.002;
-/// Share of the gain that is needed which a partner must promise by linear prediction to be fitted.
-pub(crate) const PROMISE: f64 = 0.3;
-/// ... a third one: beside two that were fitted, little is left that is not a straight line.
-const PROMISE_OF_THIRD: f64 = 0.5;
-
+pub(crate) const CLOSED: f64 = 0.002;
 /// The search: scene, nominal rig, screen of the catalogue and what the whole gap costs.
 pub struct Search<'a> {
     /// Session.
@@ -83,6 +78,8 @@ pub struct Search<'a> {
     pub ranges: Ranges,
     /// How much to try.
     pub breadth: Breadth,
+    /// Terms with their values that another look at this session came to.
+    pub(crate) known: Vec<(Term, Vec<f64>)>,
     /// Bit mask of the axes where something is missing.
     loud: u32,
     /// Recordings that tell most models from the right one.
@@ -117,6 +114,7 @@ impl<'a> Search<'a> {
             tried: Vec::new(),
             ranges: ranges.clone(),
             breadth: Breadth::FULL,
+            known: Vec::new(),
             loud,
             few,
             include,
@@ -141,8 +139,20 @@ impl<'a> Search<'a> {
         for size in 2..=MOST_EFFECTS {
             self.compose(size)?;
         }
+        self.go_on_from_known()?;
         let plain = self.select()?;
         self.with_any_loop(plain)
+    }
+
+    /// Fit what another look came to: a resonance that it found and this one missed is not lost, and what this one shows can be added.
+    fn go_on_from_known(&mut self) -> Result<(), Error> {
+        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) =
+            std::mem::take(&mut self.known).into_iter().unzip();
+        if !terms.is_empty() {
+            let model = self.fit_model(terms, start.concat(), self.effort())?;
+            self.remember(model);
+        }
+        Ok(())
     }
 
     /// The best model of those that were fitted and of what can be added to them.
@@ -252,48 +262,6 @@ impl<'a> Search<'a> {
         WORTH_ABSOLUTE.max(WORTH_OF_LEFTOVER * leftover).max(0.1 * WORTH_OF_GAP * self.gap)
     }
 
-    /// Fit the best models of `size` effects together with their most promising partners.
-    fn widen(&mut self, size: usize) -> Result<(), Error> {
-        let mut starts: Vec<Model> =
-            self.tried.iter().filter(|m| m.terms.len() == size).cloned().collect();
-        starts.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
-        starts.truncate(self.breadth.beam);
-        let reach = starts.first().map_or(0.0, |b| b.fit.cost + 0.3 * self.gap);
-        starts.retain(|m| m.fit.cost <= reach);
-        let best = starts.first().map_or(0.0, |b| b.fit.cost);
-        let wanted = best - self.worth_of_further(best - self.noise);
-        for start in starts {
-            let f = &start.fit;
-            let sensitivities = Sensitivities::at(
-                self.scene,
-                self.nominal,
-                &f.knobs,
-                &f.values,
-                &f.stack,
-                self.include,
-            )?;
-            let gains = self.screen.test(self.scene, &f.stack, Some(&sensitivities));
-            let names: Vec<&str> = start.terms.iter().map(Term::name).collect();
-            for (effect, gains) in self.shortlist(&gains, &names, self.breadth.partners) {
-                let promised: f64 = gains.iter().map(|g| g.gain).sum();
-                let share = if size > 1 { PROMISE_OF_THIRD } else { PROMISE };
-                if promised < share * (start.fit.cost - wanted) {
-                    continue;
-                }
-                let mut key = start.key();
-                key.push(effect.info().name);
-                key.sort_unstable();
-                if self.is_tried(&key) {
-                    continue;
-                }
-                let known = (&start_terms(&start)[..], &start.fit.stack);
-                let model = self.fit_terms(known, effect, &gains)?;
-                self.remember(model);
-            }
-        }
-        Ok(())
-    }
-
     /// Best effects by predicted gain, with the places that are worth fitting.
     pub(crate) fn shortlist(
         &self,
@@ -365,6 +333,7 @@ impl<'a> Search<'a> {
             return self.fit_model(terms, values, Effort { iterations: 0, ..effort });
         }
         let model = self.fit_model(terms, start, effort)?;
+        let model = self.other_variety(model, effort)?;
         self.even_out(model, effort)
     }
 

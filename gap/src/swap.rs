@@ -6,7 +6,8 @@ use crate::fit::{Sensitivities, cost};
 use crate::knobs::is_plain;
 use crate::model::{Model, Term, knobs_of, start_terms};
 use crate::scene::Wanted;
-use crate::select::{PROMISE, Search};
+use crate::select::Search;
+use crate::widen::PROMISE;
 
 /// A plainer model may leave this much more than the best one, of what that leaves, or of what it saves.
 const AS_LITTLE: f64 = 0.1;

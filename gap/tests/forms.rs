@@ -31,6 +31,19 @@ fn a_stack_of_another_polarisation_has_another_gain() {
 }
 
 #[test]
+fn a_current_limit_with_a_knee_is_a_current_limit() {
+    // No monitor was recorded; a limit with a corner leaves a lag, or a loss that goes with the current.
+    for case in [17, 20] {
+        let diagnosis = drawn(4040, case, &["amplifier-current-limit"]);
+        assert_eq!(diagnosis.verdict, Verdict::Explained, "case {case}");
+        let found = causes(&diagnosis);
+        let names: Vec<&str> = found.iter().map(|(name, _)| *name).collect();
+        assert_eq!(names, ["amplifier-current-limit"], "case {case}");
+        assert!(diagnosis.gap.closed > 0.98, "case {case}: {}", diagnosis.gap.closed);
+    }
+}
+
+#[test]
 fn a_gauge_that_warms_up_is_no_wrong_gain() {
     let diagnosis = drawn_of_the_paper(2020, 67, &["unknown"]);
     assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Unexplained, vec![]));

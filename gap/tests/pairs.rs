@@ -52,3 +52,28 @@ fn a_loop_of_another_law_needs_no_friction() {
     let named = vec![("hysteresis-shape", &[2][..])];
     assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
 }
+
+#[test]
+fn a_slow_gauge_is_found_beside_a_slow_amplifier() {
+    // Beside either of them a straight line promises nothing of the other.
+    let diagnosis = drawn(4040, 24, &["sensor-bandwidth", "amplifier-bandwidth"]);
+    let named = vec![("sensor-bandwidth", &[2][..]), ("amplifier-bandwidth", &[2])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+}
+
+#[test]
+fn two_plain_effects_are_preferred_to_two_that_bend() {
+    // Loops of another width and a stiffness do nearly as well, and each of these does better alone than either of the right ones.
+    let diagnosis = drawn(4040, 34, &["sensor-offset", "piezo-gain"]);
+    let named = vec![("sensor-offset", &[1, 2, 3][..]), ("piezo-gain", &[1, 2, 3])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+}
+
+#[test]
+fn a_loop_of_another_law_beside_a_hum_is_no_bent_gauge() {
+    let diagnosis = drawn(4040, 68, &["sensor-hum", "hysteresis-shape"]);
+    let mut named = causes(&diagnosis);
+    named.sort_unstable();
+    assert_eq!(named, [("hysteresis-shape", &[3][..]), ("sensor-hum", &[1, 2, 3])]);
+    assert_eq!(diagnosis.verdict, Verdict::Explained);
+}

@@ -112,6 +112,43 @@ fn current_limit_makes_ramps_of_current_over_capacitance() {
 }
 
 #[test]
+fn a_knee_bends_the_ramp_into_the_exponential() {
+    let step = |rate: f64, height: f64, knee: f64| {
+        let values = [("current_a", 0.2), ("knee", knee)];
+        let rig = single("amplifier-current-limit", &values);
+        run(&rig, rate, 0.1, move |t| if t < 0.05 { 0.0 } else { height }).monitor_v.remove(0)
+    };
+    let free = 1.063e-6 + 7.10f64.powi(2) / 53.4e6;
+    let limit_v_per_s = 0.2 * (1.0 / free + 8.0 / 33.6e-6);
+    let tau_s = one_axis().axes[0].amplifier.time_constant_s;
+    // The law, in small steps of its own.
+    for (height, knee) in [(20.0, 0.2), (100.0, 0.4), (60.0, 1.0)] {
+        let mut expected = 0.0;
+        let simulated = step(1e4, height, knee);
+        for (tick, v) in simulated.iter().skip(500).enumerate().take(60) {
+            assert!(
+                (v - expected).abs() < 2e-3,
+                "{height} V, knee {knee}, tick {tick}: {v} V, {expected} V"
+            );
+            for _ in 0..200 {
+                let slope = |v: f64| {
+                    let asked = (height - v) / tau_s / limit_v_per_s;
+                    asked * (1.0 + asked.powf(1.0 / knee)).powf(-knee) * limit_v_per_s
+                };
+                expected += 5e-7 * slope(expected + 2.5e-7 * slope(expected));
+            }
+        }
+    }
+    let (soft, sharp) = (step(1e4, 100.0, 1e-3), step(1e4, 100.0, 0.0));
+    assert!(worst(&soft, &sharp) < 0.05, "hardly any knee is a corner");
+    let plain = run(&one_axis(), 1e4, 0.1, |t| if t < 0.05 { 0.0 } else { 0.1 });
+    assert!(
+        worst(&step(1e4, 0.1, 0.3), &plain.monitor_v[0]) < 1e-5,
+        "small steps stay exponential"
+    );
+}
+
+#[test]
 fn clipping_stands_at_one_voltage() {
     let rig = single("amplifier-clipping", &[("max_v", 70.0), ("softness_v", 0.01)]);
     let output = run(&rig, 1e4, 1.0, triangle(90.0, 2.0));

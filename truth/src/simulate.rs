@@ -122,6 +122,8 @@ pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Opt
         });
     }
 
+    come_to_rest(world, &mut moving, dt);
+
     let meta = Meta {
         experiment: experiment.name.clone(),
         sample_rate_hz: rate,
@@ -253,6 +255,34 @@ pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Opt
         recording.reference_um = references.into_iter().map(Some).collect();
     }
     recording
+}
+
+/// Time in which the stages come to rest before a recording begins (s).
+const REST_S: f64 = 0.02;
+
+/// Lets the stages come to rest under what their stacks remember, damped as much as they can be without creeping: a recording that began with
+/// a jump would ring for seconds where nothing was driven.
+fn come_to_rest(world: &mut World, moving: &mut [Moving], dt: f64) {
+    for _ in 0..(REST_S / dt) as usize {
+        let displacements: Vec<f64> = moving.iter().map(|state| state.position_m).collect();
+        for (index, (axis, state)) in world.axes.iter_mut().zip(moving.iter_mut()).enumerate() {
+            let constants = &axis.constants;
+            let stiffness = constants.stiffness_n_per_m + constants.mechanism_n_per_m;
+            let neighbours = world.stiffness_cross[index].iter().zip(&displacements);
+            let outside = Outside {
+                force_n: -neighbours.map(|(stiffness, x)| stiffness * x).sum::<f64>(),
+                damping: 2.0 * (stiffness * constants.mass_kg).sqrt(),
+                ..Outside::default()
+            };
+            mechanics(axis, state, &outside, dt);
+        }
+    }
+    for state in moving {
+        (state.speed, state.acceleration, state.charge_rate) = (0.0, 0.0, 0.0);
+        state.modes.fill((state.position_m, 0.0));
+        state.branches.fill(state.position_m);
+        state.filter = (state.position_m, 0.0);
+    }
 }
 
 /// Share of the way that a first-order lag covers in a step.

@@ -22,10 +22,12 @@ static INFO: Info = Info {
             "0: load of the stack's small-signal capacitance; 1: of the capacitance it shows while slipping",
         ),
         Parameter::shape("sink_ratio", "1", (0.1, 10.0), 1.0, "current sunk over current sourced").by_ratio(),
+        Parameter::shape("knee", "1", (0.0, 1.0), 0.0, "how early the current falls behind: 0 a corner, 1 from the start"),
     ],
     threshold: true,
     physics: "dv/dt is held to I/C on the way to the target: full current until the first-order approach needs less. \
-              Large fast moves become ramps, small ones stay exponential.",
+              Large fast moves become ramps, small ones stay exponential. An output stage that runs out of current by and by has a knee: \
+              dv/dt = I/C u (1 + u^(1/knee))^-knee with u the slope that the first order asks for, in units of I/C.",
     source: "ENV 400: 60 W / 150 V = 0.4 A; 286 V/ms into 1.4 uF, 190 V/ms into 2.1 uF (notes/physics.md, section 4)",
     revealed_by: "steps and fast triangles at two amplitudes; the monitor",
     confused_with: &["amplifier-bandwidth", "amplifier-clipping"],
@@ -36,6 +38,7 @@ struct CurrentLimit {
     sink_ratio: f64,
     load_f: f64,
     stack_share: f64,
+    knee: f64,
 }
 
 impl SlewLimit for CurrentLimit {
@@ -43,6 +46,10 @@ impl SlewLimit for CurrentLimit {
         let load_f = self.load_f + self.stack_share * (stack_f - self.load_f);
         let up = self.current_a / load_f;
         (up * self.sink_ratio, up)
+    }
+
+    fn knee(&self) -> f64 {
+        self.knee
     }
 }
 
@@ -62,6 +69,7 @@ impl Effect for AmplifierCurrentLimit {
             current_a: values[0],
             stack_share: values[1],
             sink_ratio: values[2],
+            knee: values[3],
             load_f,
         }));
     }

@@ -65,6 +65,42 @@ impl Further {
     }
 }
 
+/// Steepest fall and rise, V/s, and how softly they are reached.
+#[derive(Clone, Copy)]
+struct Limits {
+    down: f64,
+    up: f64,
+    knee: f64,
+}
+
+/// Longest step, in time constants, in which an approach with a knee is integrated: Runge-Kutta's error is then 1e-6 of the way.
+const LONGEST_STEP: f64 = 0.25;
+
+/// Slope, in units of the limit, where the first order asks for `asked` of it: `asked (1 + asked^(1/knee))^-knee`, which goes from the one
+/// to the other, all the sharper the smaller the knee.
+pub(crate) fn soft_slope(asked: f64, knee: f64) -> f64 {
+    if asked > 1.0 {
+        (1.0 + asked.powf(-1.0 / knee)).powf(-knee)
+    } else {
+        asked * (1.0 + asked.powf(1.0 / knee)).powf(-knee)
+    }
+}
+
+/// What is left of a way after `length` time constants, both in units of what the limit covers in one.
+fn soft_approach(mut left: f64, knee: f64, length: f64) -> f64 {
+    let steps = (length / LONGEST_STEP).ceil().max(1.0);
+    let h = length / steps;
+    for _ in 0..steps as usize {
+        let slope = |left: f64| soft_slope(left.max(0.0), knee);
+        let k1 = slope(left);
+        let k2 = slope(left - 0.5 * h * k1);
+        let k3 = slope(left - 0.5 * h * k2);
+        let k4 = slope(left - h * k3);
+        left -= h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4);
+    }
+    left
+}
+
 /// A part of the tick with a constant target.
 #[derive(Clone, Copy)]
 struct Segment {
@@ -167,7 +203,10 @@ impl AmplifierSim {
         let late_target = self.pipeline.front().copied().unwrap_or(target_v);
         let [early_target, late_target] =
             [early_target, late_target].map(|v| passed(&mut self.input, v, time_s));
-        let limits = self.slew.as_ref().map(|slew| slew.limits_v_per_s(load.capacitance_f()));
+        let limits = self.slew.as_ref().map(|slew| {
+            let (down, up) = slew.limits_v_per_s(load.capacitance_f());
+            Limits { down, up, knee: slew.knee() }
+        });
         if self.early.length_s > 0.0 {
             self.segment(early_target, self.early, limits);
         }
@@ -175,11 +214,18 @@ impl AmplifierSim {
         self.output_v(time_s)
     }
 
-    /// First order towards the target with the slope held between limits (down, up): a ramp, then an exponential.
-    fn segment(&mut self, target_v: f64, segment: Segment, limits: Option<(f64, f64)>) {
+    /// First order towards the target with the slope held between limits: a ramp, then an exponential, or what a knee makes of them.
+    fn segment(&mut self, target_v: f64, segment: Segment, limits: Option<Limits>) {
         let gap = target_v - self.state_v;
-        if let Some((down, up)) = limits {
+        if let Some(Limits { down, up, knee: softness }) = limits {
             let slope = if gap > 0.0 { up } else { down };
+            if softness > 0.0 && self.time_constant_s > 0.0 {
+                let asked = gap.abs() / (slope * self.time_constant_s);
+                let left = soft_approach(asked, softness, segment.length_s / self.time_constant_s);
+                let left = if asked > 0.0 { left / asked } else { 1.0 };
+                self.ramp(target_v - gap * left, segment.length_s);
+                return;
+            }
             // Where the exponential becomes slower than the limit.
             let knee = slope * self.time_constant_s;
             if gap.abs() > knee {

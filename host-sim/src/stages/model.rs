@@ -152,6 +152,9 @@ pub struct SensorModel {
 pub trait SlewLimit: Send {
     /// Steepest fall and rise, V/s, both positive, into a load of `stack_f` farad (the stack's own, large-signal).
     fn limits_v_per_s(&self, stack_f: f64) -> (f64, f64);
+
+    /// How early the slope begins to fall behind, 0 to 1: 0 is a limit with a corner.
+    fn knee(&self) -> f64;
 }
 
 /// Something at the input or the output of the amplifier.
