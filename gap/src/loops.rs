@@ -38,6 +38,10 @@ const MUCH_LESS: f64 = 0.65;
 const AS_LITTLE: f64 = 1.1;
 /// ... or this one, with friction gone from them: a further effect must remove a third of what the loop alone leaves.
 const AS_FURTHER: f64 = 1.5;
+/// ... or this share of the gap.
+const NEXT_TO_NOTHING: f64 = 0.003;
+/// Share of the gap that a model leaves at most whose loop is let go although another one was chosen.
+const HALF: f64 = 0.5;
 /// Share of the gap that the form of a single right effect leaves.
 const FORM_OF_ONE: f64 = 0.01;
 /// Iterations of its fit.
@@ -79,7 +83,7 @@ impl Search<'_> {
         // What is loud and none of a loop hides one that stands beside it.
         let beside = plain.as_ref().and_then(|plain| {
             let beside = self.loop_beside_others(plain, |_| &self.base);
-            beside.or_else(|| self.loop_instead(plain))
+            beside.filter(|b| b.0 != 0).or_else(|| self.best_with_loop())
         });
         let bound: Vec<(u32, Model)> = own.into_iter().chain(beside).filter(|b| b.0 != 0).collect();
         let is_closed = |m: &Model| {
@@ -139,7 +143,8 @@ impl Search<'_> {
             let share = if any.terms.len() >= plain.terms.len() || places(any) > places(plain) {
                 MUCH_LESS
             } else if has(plain, FRICTION) && !has(any, FRICTION) {
-                AS_FURTHER
+                // Next to nothing is a matter of form.
+                return left(any) < (AS_FURTHER * left(plain)).max(NEXT_TO_NOTHING * self.gap);
             } else {
                 AS_LITTLE
             };
@@ -163,23 +168,16 @@ impl Search<'_> {
         })
     }
 
-    /// The best model with a plain loop in the place of one effect of `model` that bends to what a loop of another law does, whether there
-    /// is a loop beside it or not.
-    fn loop_instead(&self, model: &Model) -> Option<(u32, Model)> {
-        if model.terms.len() < 2 {
-            return None;
-        }
-        let instead = |term: &Term| {
-            let is_like = term.effect.info().confused_with.contains(&LOOP);
-            let mut names = model.key();
-            names.retain(|name| *name != term.name() && *name != LOOP);
-            names.push(LOOP);
-            names.sort_unstable();
-            let known = self.tried.iter().find(|known| is_like && known.key() == names)?;
-            // What the others account for says nothing of the one in its place.
-            self.loop_beside_others(known, |without| without)
+    /// The best model of several effects with a plain loop among them, where what the search came to has none that is a good part of the
+    /// answer: what bends may have taken the place of a loop of another law. What the others account for says nothing of it.
+    fn best_with_loop(&self) -> Option<(u32, Model)> {
+        let is_one = |m: &&Model| {
+            let names = m.key();
+            names.len() > 1 && names.contains(&LOOP) && !names.contains(&FRICTION)
         };
-        model.terms.iter().find_map(instead)
+        let best = self.tried.iter().find(is_one)?;
+        let closes = best.fit.cost - self.noise < HALF * self.gap;
+        self.loop_beside_others(best, |without| without).filter(|_| closes)
     }
 
     /// A model of several effects with a loop among them that is a good part of the answer on some axes. Friction is left out: it makes
