@@ -1,6 +1,7 @@
 //! One more effect beside the best models: those that a linear prediction promises something of, and those that it says nothing about.
 
 use crate::Error;
+use crate::accept::has_many_laws;
 use crate::fit::Sensitivities;
 use crate::knobs::EffectRef;
 use crate::model::{Model, Term, start_terms};
@@ -69,11 +70,14 @@ impl Search<'_> {
     /// Partners for a single effect that leaves much and beside which none promises enough: a lag beside a lag is no straight line. Those
     /// that did best alone, with what they came to.
     fn likeliest(&self, single: &Model) -> Vec<(EffectRef, Vec<Gain>)> {
-        if single.terms.len() > 1 || single.fit.cost - self.noise < LEFT_OPEN * self.gap {
+        // What an effect of many laws leaves is its own, and what it does beside another says little.
+        let is_of_one_law = |m: &Model| m.terms.len() == 1 && !has_many_laws(m.terms[0].name());
+        let is_open = single.fit.cost - self.noise > LEFT_OPEN * self.gap;
+        if !is_of_one_law(single) || !is_open {
             return Vec::new();
         }
         // The best ones come first.
-        let is_other = |m: &&Model| m.terms.len() == 1 && m.key() != single.key();
+        let is_other = |m: &&Model| is_of_one_law(m) && m.key() != single.key();
         let is_of_use = |m: &&Model| m.fit.cost - self.noise < OF_USE * self.gap;
         let of_model = |model: &Model| {
             let term = &model.terms[0];
