@@ -82,12 +82,8 @@ impl Search<'_> {
         let own = alone.map(|alone| (self.axes_of_loop(&alone, &self.base, &self.base), alone));
         // What is loud and none of a loop hides one that stands beside it.
         let beside = plain.as_ref().and_then(|plain| {
-            let has_loop = plain.key().contains(&LOOP);
-            if has_loop {
-                self.loop_beside_others(plain, |_| &self.base)
-            } else {
-                self.best_with_loop()
-            }
+            let beside = self.loop_beside_others(plain, |_| &self.base);
+            beside.filter(|(axes, _)| *axes != 0).or_else(|| self.best_with_loop())
         });
         let bound: Vec<(u32, Model)> = own.into_iter().chain(beside).filter(|b| b.0 != 0).collect();
         let is_closed = |m: &Model| {
@@ -172,8 +168,8 @@ impl Search<'_> {
         })
     }
 
-    /// The best model of several effects with a plain loop among them, where what the search came to has none: what bends may have taken
-    /// the place of a loop of another law. What the others account for says nothing of it.
+    /// The best model of several effects with a plain loop among them, where that of what the search came to is no good part of the answer:
+    /// what bends may have taken the place of a loop of another law. What the others account for says nothing of it.
     fn best_with_loop(&self) -> Option<(u32, Model)> {
         // Beside what bends too, a loop is not told from it.
         let bends = |term: &Term| term.effect.info().confused_with.contains(&LOOP);
