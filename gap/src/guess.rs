@@ -155,6 +155,10 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
                     wanted.push(with(&[("current_a", share * ranges.current_a), ("knee", knee)]));
                 }
             }
+            // One fast edge in a slow session asks for many times what all else does.
+            for share in [0.04, 0.015] {
+                wanted.push(with(&[("current_a", share * ranges.current_a)]));
+            }
         }
         "preload-loss" => {
             for share in [0.08, 0.2, 0.35, 0.55, 0.8] {

@@ -44,6 +44,15 @@ fn a_current_limit_with_a_knee_is_a_current_limit() {
 }
 
 #[test]
+fn a_current_limit_far_below_one_fast_edge_is_found() {
+    // Fast edges in one recording ask for fifty times the current that the limit lets through; all else hardly sees it.
+    let diagnosis = drawn(6060, 24, &["amplifier-current-limit"]);
+    let named = vec![("amplifier-current-limit", &[1][..])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert!(diagnosis.gap.closed > 0.95, "{}", diagnosis.gap.closed);
+}
+
+#[test]
 fn a_gauge_that_warms_up_is_no_wrong_gain() {
     let diagnosis = drawn_of_the_paper(2020, 67, &["unknown"]);
     assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Unexplained, vec![]));
