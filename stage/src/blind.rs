@@ -13,6 +13,7 @@ use anstream::println;
 use anyhow::{Context, bail};
 use host_sim::Rig;
 use indicatif::{ProgressBar, ProgressStyle};
+use rayon::prelude::*;
 use recording::{Recording, Session};
 use truth::case::{Case, Draw, Label, Sessions, key, seal};
 use truth::effects::EFFECTS;
@@ -180,32 +181,37 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let folder = args.write_only.as_ref().unwrap_or(&args.out).clone();
     fs::create_dir_all(&folder).with_context(|| format!("{}: cannot create", folder.display()))?;
     let answers = folder.join("answers");
-    let mut labels: Vec<Label> = Vec::new();
-    let mut excluded = Vec::new();
     let bar = progress(plan.len(), "drawing")?;
-    for Planned { id, number, draw, without } in plan {
+    let draw = |planned: Planned| -> anyhow::Result<(Label, Option<&'static str>)> {
+        let Planned { id, number, draw, without } = planned;
         // A case that was answered before is drawn from its label; the others are drawn anew, the same for the same seed.
         let label = folder.join(".labels").join(format!("{id}.json"));
         let drawn: Option<Label> =
             fs::read(&label).ok().and_then(|text| serde_json::from_slice(&text).ok());
         let there =
             folder.join(&id).join("rig.toml").is_file() || outcome_file(&answers, &id).is_file();
-        if let (Some(drawn), true, false) = (drawn, there, args.write_only.is_some()) {
-            labels.push(drawn);
-        } else {
-            let mut case = Case::draw(args.seed, number, &draw);
-            case.label.id = id;
-            if args.without_monitor {
-                case.drop_monitor();
+        let drawn = match (drawn, there, args.write_only.is_some()) {
+            (Some(drawn), true, false) => drawn,
+            _ => {
+                let mut case = Case::draw(args.seed, number, &draw);
+                case.label.id = id;
+                if args.without_monitor {
+                    case.drop_monitor();
+                }
+                case.write(&folder)
+                    .with_context(|| format!("{}: cannot write", folder.display()))?;
+                fs::create_dir_all(folder.join(".labels"))?;
+                fs::write(&label, serde_json::to_vec(&case.label)?)?;
+                case.label
             }
-            case.write(&folder).with_context(|| format!("{}: cannot write", folder.display()))?;
-            fs::create_dir_all(folder.join(".labels"))?;
-            fs::write(&label, serde_json::to_vec(&case.label)?)?;
-            labels.push(case.label);
-        }
-        excluded.push(without);
+        };
         bar.inc(1);
-    }
+        Ok((drawn, without))
+    };
+    // Every case has a generator of its own: the order in which they are drawn does not matter.
+    let drawn: Vec<(Label, Option<&'static str>)> =
+        plan.into_par_iter().map(draw).collect::<anyhow::Result<_>>()?;
+    let (labels, excluded): (Vec<Label>, Vec<Option<&str>>) = drawn.into_iter().unzip();
     bar.finish_and_clear();
     let sealed = key(&labels);
     println!(
