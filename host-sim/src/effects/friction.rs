@@ -1,5 +1,7 @@
 //! friction: the mechanism rubs.
 
+use std::cell::Cell;
+
 use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
 use crate::stages::model::{Force, Model};
 use crate::stages::speed::EndSpeed;
@@ -28,6 +30,11 @@ static INFO: Info = Info {
     confused_with: &["hysteresis-shape", "preload-loss", "hysteresis-rate"],
 };
 
+/// Multiple of the creeping speed at which the hyperbolic tangent is 1 to the last bit.
+const SATURATED: f64 = 20.0;
+/// Presliding lengths after which nothing is left of the force before, to the last bit of the one after.
+const FORGOTTEN: f64 = 40.0;
+
 struct Dahl {
     coulomb_n: f64,
     presliding_m: f64,
@@ -36,6 +43,8 @@ struct Dahl {
     speed: EndSpeed,
     force_n: f64,
     at_m: f64,
+    /// Displacement that was looked at last in this tick, and the force there.
+    last: Cell<(f64, f64)>,
 }
 
 impl Force for Dahl {
@@ -45,33 +54,44 @@ impl Force for Dahl {
 
     fn begin(&mut self, step_s: f64) {
         self.step_s = step_s;
+        self.last.set((f64::NAN, 0.0));
     }
 
     fn force(&self, x_m: f64) -> (f64, f64) {
         let travel = x_m - self.at_m;
         let (level, rise) = if self.step_s > 0.0 {
             let creeping_m = self.creeping_m_per_s * self.step_s;
-            let (speed, faster) = self.speed.at(travel);
-            let level = (speed / creeping_m).tanh();
-            (level, self.coulomb_n * (1.0 - level * level) / creeping_m * faster)
+            if self.speed.is_beyond(travel, SATURATED * creeping_m) {
+                (1.0_f64.copysign(travel), 0.0)
+            } else {
+                let (speed, faster) = self.speed.at(travel);
+                let level = (speed / creeping_m).tanh();
+                (level, self.coulomb_n * (1.0 - level * level) / creeping_m * faster)
+            }
         } else {
             // On the way to rest there is no speed to fall with.
             (1.0_f64.copysign(travel), 0.0)
         };
-        let kept = (-travel.abs() / self.presliding_m).exp();
+        let gone = travel.abs() / self.presliding_m;
+        let kept = if gone > FORGOTTEN { 0.0 } else { (-gone).exp() };
         let left = (self.force_n + self.coulomb_n * level) * kept;
         // Where the level falls faster than the force follows, the slope is taken for none, so that a tangent points to the side of the
         // answer.
         let holding = (left * travel.signum()).max(0.0) / self.presliding_m;
-        (left - self.coulomb_n * level, -rise * (1.0 - kept) - holding)
+        let force = left - self.coulomb_n * level;
+        self.last.set((x_m, force));
+        (force, -rise * (1.0 - kept) - holding)
     }
 
     fn commit(&mut self, x_m: f64, step_s: f64) {
         if step_s > 0.0 {
-            self.force_n = self.force(x_m).0;
+            // Where a tick was solved is mostly where it was looked at last.
+            let (at_m, force_n) = self.last.get();
+            self.force_n = if at_m == x_m { force_n } else { self.force(x_m).0 };
             self.speed.commit(x_m - self.at_m);
         }
         self.at_m = x_m;
+        self.last.set((f64::NAN, 0.0));
     }
 }
 
@@ -89,6 +109,7 @@ impl Effect for Friction {
             speed: EndSpeed::default(),
             force_n: 0.0,
             at_m: 0.0,
+            last: Cell::new((f64::NAN, 0.0)),
         }));
     }
 }

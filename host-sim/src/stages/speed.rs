@@ -32,6 +32,19 @@ impl EndSpeed {
         (travel * (1.0 + over), 1.0 - over)
     }
 
+    /// Whether the speed at the end is beyond `least` (units of the travel, a tick) for sure. Cheaper than asking for the speed.
+    #[inline]
+    pub(crate) fn is_beyond(self, travel: f64, least: f64) -> bool {
+        // Where the ways fall a hundredfold the end speed is a twentieth of the mean one; of growing or turning motion it is no less.
+        travel.abs() > (25.0 * least).max(0.01 * self.before.abs())
+    }
+
+    /// Travel of the tick before.
+    #[inline]
+    pub(crate) fn before(self) -> f64 {
+        self.before
+    }
+
     /// Accept the travel of a tick.
     pub(crate) fn commit(&mut self, travel: f64) {
         self.before = travel;
@@ -72,6 +85,23 @@ mod tests {
             let step = 1.0e-6;
             let found = (speed.at(travel + step).0 - speed.at(travel - step).0) / (2.0 * step);
             assert!((found - speed.at(travel).1).abs() < 1.0e-3, "{travel}: {found}");
+        }
+    }
+
+    #[test]
+    fn what_is_said_to_be_beyond_is() {
+        for before in [-1.0, 0.0, 1.0e-3, 1.0] {
+            let mut speed = EndSpeed::default();
+            speed.commit(before);
+            for k in -60..=60 {
+                let travel = 10.0_f64.powf(f64::from(k) * 0.1);
+                for least in [1.0e-3, 0.1, 10.0] {
+                    if speed.is_beyond(travel, least) {
+                        assert!(speed.at(travel).0 > least, "{before}, {travel}, {least}");
+                    }
+                }
+            }
+            assert!(speed.is_beyond(1.0, 0.01));
         }
     }
 

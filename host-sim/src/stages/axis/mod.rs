@@ -16,9 +16,11 @@ use crate::start::{Initial, Memory};
 pub use alone::Load;
 use strain_loss::StrainLossSim;
 
-/// Change of displacement at which a solve has converged, m: a ten-thousandth of the shortest length in any force.
-const TOLERANCE_M: f64 = 1.0e-13;
-/// The same for a place of rest, which is found once a simulation.
+/// What the forces may differ by from those that were solved for, as the displacement that it makes, m.
+const FORCE_TOLERANCE_M: f64 = 1.0e-15;
+/// Farthest that an axis is expected to go in a tick, m.
+const FARTHEST_M: f64 = 1.0e-5;
+/// Change of displacement at which a place of rest is found, m.
 const REST_M: f64 = 1.0e-15;
 
 /// One axis with its state.
@@ -44,6 +46,8 @@ pub struct AxisSim {
     output_v: f64,
     transducer_v: f64,
     force_n: f64,
+    /// Displacements of the last tick and of the one before it, m.
+    travels_m: [f64; 2],
     // Of the tick being solved.
     input_v: f64,
     level: usize,
@@ -157,6 +161,7 @@ impl AxisSim {
             output_v: 0.0,
             transducer_v: 0.0,
             force_n: 0.0,
+            travels_m: [0.0; 2],
             input_v: 0.0,
             free_m: 0.0,
             beta: 0.0,
@@ -172,6 +177,7 @@ impl AxisSim {
 
     /// Come to rest at an initial state, with `target_v` asked of the amplifier; `output_v` overrides its output.
     pub fn start(&mut self, initial: &Initial, target_v: f64, time_s: f64, output_v: Option<f64>) {
+        self.travels_m = [0.0; 2];
         self.amplifier.start(initial.amplifier_v.unwrap_or(target_v), target_v);
         self.output_v = output_v.unwrap_or_else(|| self.amplifier.output_v(time_s));
         match &initial.memory {
@@ -260,9 +266,12 @@ impl AxisSim {
         let level = (tangent * self.levels_per_slope + 0.5) as usize;
         self.level = level.min(self.mechanism.levels() - 1);
         (self.free_m, self.beta) = self.mechanism.end_position(self.level, self.force_n);
-        self.next_position_m = self.mechanism.position_m();
+        self.next_position_m = self.mechanism.position_m() + self.expected_m();
         let step_s = self.step_s;
         self.forces.iter_mut().for_each(|force| force.begin(step_s));
+        if let Some(loss) = &mut self.strain_loss {
+            loss.begin();
+        }
         if !self.creep.is_empty() {
             (self.slow_v, self.slow_per_v) = self.creep.begin(self.transducer_v);
         }
@@ -273,6 +282,15 @@ impl AxisSim {
             }
             self.drag.at(current);
         }
+    }
+
+    /// Displacement of a tick that goes on as the two before it, m.
+    #[inline]
+    fn expected_m(&self) -> f64 {
+        let [last_m, before_m] = self.travels_m;
+        let expected_m = 2.0 * last_m - before_m;
+        // Where a spring that gives way lets the axis run away, the answer near by is looked for.
+        if expected_m.abs() < FARTHEST_M { expected_m } else { 0.0 }
     }
 
     /// Solve for the end of the tick under a force from outside, N; returns the displacement there.
@@ -295,18 +313,22 @@ impl AxisSim {
 
     /// Newton on the displacement, with the forces taken by their tangent, inside a bracket.
     ///
-    /// A force that gives way over nanometres (friction at a reversal) is steep where the tick begins and flat where it ends:
-    /// tangents from the steep side gain one such length a round. So after a few rounds the flat side is asked.
+    /// It begins where the axis would be if it went on as in the tick before, and ends where the forces are those of the tangents:
+    /// of most ticks that takes two values of each force. A force that gives way over nanometres (friction at a reversal) is steep where
+    /// the tick begins and flat where it ends: tangents from the steep side gain one such length a round. So after a few rounds the
+    /// flat side is asked.
     fn solve_with_forces(&mut self, free_m: f64, per_volt: f64, beta: f64) -> f64 {
         const PATIENCE: usize = 3;
         let mut x = self.next_position_m;
         let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
+        let (mut value, mut slope) = self.forces_at(x);
         let mut force = 0.0;
         for round in 0..50 {
-            let (value, slope) = self.forces_at(x);
             force = self.solve_tangent(x, (value, slope), free_m, per_volt, beta);
             let mut next = self.next_position_m;
-            if (next - x).abs() <= TOLERANCE_M {
+            let there = self.forces_at(next);
+            // What moves the axis by less than this was solved for.
+            if ((there.0 - force) * beta).abs() <= FORCE_TOLERANCE_M || next == x {
                 break;
             }
             // All of this rises with the displacement, so a tangent points to the side of the answer.
@@ -315,17 +337,22 @@ impl AxisSim {
             } else {
                 high = high.min(x)
             }
+            let mut is_known = true;
             if round == PATIENCE {
                 self.solve_tangent(x, (value, 0.0), free_m, per_volt, beta);
                 let far = self.next_position_m;
-                let there = self.forces_at(far);
-                self.solve_tangent(far, there, free_m, per_volt, beta);
+                let of_far = self.forces_at(far);
+                self.solve_tangent(far, of_far, free_m, per_volt, beta);
                 let back = self.next_position_m;
                 if back > low && back < high && (back - x).abs() > (next - x).abs() {
-                    next = back;
+                    (next, is_known) = (back, false);
                 }
             }
-            x = if next > low && next < high { next } else { 0.5 * (low + high) };
+            if !(next > low && next < high) {
+                (next, is_known) = (0.5 * (low + high), false);
+            }
+            (value, slope) = if is_known { there } else { self.forces_at(next) };
+            x = next;
         }
         force
     }
@@ -368,13 +395,13 @@ impl AxisSim {
     }
 
     /// Newton on the charge, with the loss taken by its tangent, inside a bracket; the force of the loss. The charge at zero volts falls
-    /// with the loss, and the loss grows with the charge: there is one answer.
+    /// with the loss, and the loss grows with the charge: there is one answer. It begins and ends as [`Self::solve_with_forces`] does.
     fn solve_with_loss(&mut self, mut loss: StrainLossSim, branch: &Branch, beta: f64) -> f64 {
         let mut charge = loss.next_charge_c;
         let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
         let mut lost_n = 0.0;
+        let (mut force, mut slope) = loss.force(charge);
         for _ in 0..StrainLossSim::ROUNDS {
-            let (force, slope) = loss.force(charge);
             let room = 1.0 - self.transformer * beta * slope;
             let lost = self.transformer * beta * (force - slope * charge);
             let branch = Branch {
@@ -386,7 +413,11 @@ impl AxisSim {
             let next = branch.charge_at_zero_c + branch.capacitance_f * self.next_transducer_v;
             // Of the line that was solved.
             lost_n = force + slope * (next - charge);
-            if (next - charge).abs() <= StrainLossSim::TOLERANCE_C {
+            let there = loss.force(next);
+            let is_found = (self.transformer * beta * (there.0 - lost_n)).abs()
+                <= StrainLossSim::TOLERANCE_C
+                || next == charge;
+            if is_found {
                 charge = next;
                 break;
             }
@@ -395,7 +426,12 @@ impl AxisSim {
             } else {
                 high = high.min(charge);
             }
-            charge = if next > low && next < high { next } else { 0.5 * (low + high) };
+            if next > low && next < high {
+                (charge, force, slope) = (next, there.0, there.1);
+            } else {
+                charge = 0.5 * (low + high);
+                (force, slope) = loss.force(charge);
+            }
         }
         (loss.next_charge_c, loss.next_force_n) = (charge, lost_n);
         self.strain_loss = Some(loss);
@@ -406,6 +442,8 @@ impl AxisSim {
     #[inline]
     pub fn commit(&mut self) {
         self.elements.commit();
+        let travel_m = self.next_position_m - self.mechanism.position_m();
+        self.travels_m = [travel_m, self.travels_m[0]];
         self.mechanism.advance(self.level, self.force_n, self.next_force_n, self.next_position_m);
         if !self.creep.is_empty() {
             self.creep.commit(self.next_transducer_v);

@@ -16,6 +16,8 @@ use super::{Branch, SlipElements};
 const TOLERANCE_V: f64 = 1.0e-11;
 /// Error of a voltage that is taken for rounding, of that voltage.
 const ROUNDING: f64 = 4.0e-15;
+/// Most by which a first tangent is expected to fall short.
+const MOST_SHORT: f64 = 1.5;
 /// Elements done at once.
 const LANES: usize = 4;
 /// Slip charge of the lanes that are left over, C: more than any stack draws.
@@ -34,6 +36,8 @@ pub struct Yielding {
     tangents: [f64; 2],
     /// Whether it rose last.
     rising: bool,
+    /// Charge drawn in the tick before, in units of what its first tangent led to.
+    short: f64,
     next: Trial,
 }
 
@@ -43,6 +47,7 @@ struct Trial {
     drawn_c: f64,
     scale: f64,
     sum_v: f64,
+    short: f64,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -125,6 +130,7 @@ impl Yielding {
             sum_v: 0.0,
             tangents: [0.0; 2],
             rising: true,
+            short: 1.0,
             next: Trial::default(),
         };
         made.look_around();
@@ -153,7 +159,7 @@ impl Yielding {
                 group.z_c[lane] = if slope > 0.0 { volts / slope } else { 0.0 };
             }
         }
-        (self.scale, self.rising) = (1.0, true);
+        (self.scale, self.rising, self.short) = (1.0, true, 1.0);
         self.sum_v = self.voltages().iter().sum();
         self.look_around();
     }
@@ -217,6 +223,7 @@ impl SlipElements for Yielding {
         };
         let (mut drawn, mut weight) = (0.0, weight_at(self.charge_c));
         let mut moved = !still;
+        let mut first = 0.0;
         for _ in 0..100 {
             // A simulation that runs away is not followed to the last digit, nor one that is no number.
             let small = TOLERANCE_V.max(ROUNDING * (start + drawn).abs() * elastance);
@@ -227,6 +234,11 @@ impl SlipElements for Yielding {
             let next = drawn - error / tangent;
             // Only a strong skew bends it the other way.
             drawn = if next * sign >= 0.0 { next } else { 0.5 * drawn };
+            if first == 0.0 {
+                // The first tangent falls short by about as much as it did in the tick before.
+                first = drawn;
+                drawn *= if (sign > 0.0) == self.rising { self.short } else { 1.0 };
+            }
             (sum, slope) = self.draw(drawn, sign, scale);
             weight = weight_at(self.charge_c + drawn);
             error = (start + drawn) * elastance + sum * weight + drag * drawn - branch.input_v;
@@ -235,13 +247,14 @@ impl SlipElements for Yielding {
         if !moved {
             self.draw(0.0, sign, scale);
         }
-        self.next = Trial { drawn_c: drawn, scale, sum_v: sum };
+        let short = if first == 0.0 { 1.0 } else { (drawn / first).clamp(1.0, MOST_SHORT) };
+        self.next = Trial { drawn_c: drawn, scale, sum_v: sum, short };
         (start + drawn) * elastance
     }
 
     #[inline]
     fn commit(&mut self) {
-        let Trial { drawn_c, scale, sum_v } = self.next;
+        let Trial { drawn_c, scale, sum_v, short } = self.next;
         if drawn_c != 0.0 {
             self.rising = drawn_c > 0.0;
         }
@@ -249,7 +262,7 @@ impl SlipElements for Yielding {
             group.z_c = group.next_z_c;
         }
         self.charge_c += drawn_c;
-        (self.scale, self.sum_v) = (scale, sum_v);
+        (self.scale, self.sum_v, self.short) = (scale, sum_v, short);
         self.look_around();
     }
 }
