@@ -19,7 +19,7 @@ fn drive_v() -> Vec<f64> {
         let triangle = 60.0 * (2.0 * (t - t.floor()) - 1.0).abs();
         let tones =
             [13.0, 71.0, 190.0, 420.0].map(|hz: f64| (std::f64::consts::TAU * hz * t).sin());
-        let edges = if t > 3.0 && (t * 20.0) as usize % 2 == 0 { 10.0 } else { 0.0 };
+        let edges = if t > 3.0 && ((t * 20.0) as usize).is_multiple_of(2) { 10.0 } else { 0.0 };
         15.0 + triangle + 2.0 * tones.iter().sum::<f64>() + edges
     };
     (0..SAMPLES).map(at).collect()
