@@ -50,6 +50,45 @@ pub struct Gain {
     pub shift: Vec<f64>,
 }
 
+/// What is already in a model, channel by channel: it is the same for every direction.
+struct Known<'a> {
+    /// Number of knobs.
+    knobs: usize,
+    /// `None` where the residual is not known.
+    channels: Vec<Option<KnownChannel<'a>>>,
+}
+
+/// Knobs that reach a channel, with their inner products.
+struct KnownChannel<'a> {
+    rows: Vec<(usize, &'a Vec<f32>)>,
+    /// With the residual.
+    gradient: Vec<f64>,
+    /// With each other.
+    matrix: DMatrix<f64>,
+}
+
+impl<'a> Known<'a> {
+    fn new(scene: &Scene, stack: &Stack, model: &'a Sensitivities) -> Self {
+        let of_channel = |c: usize| -> Option<KnownChannel<'a>> {
+            let here = stack[c].as_ref()?;
+            let axis = scene.channels[c].axis;
+            let rows: Vec<(usize, &Vec<f32>)> =
+                (0..model.len()).filter_map(|k| model.row(k, c, axis).map(|r| (k, r))).collect();
+            let gradient = rows.iter().map(|(_, row)| dot(row, here)).collect();
+            let mut matrix = DMatrix::zeros(rows.len(), rows.len());
+            for i in 0..rows.len() {
+                for j in 0..=i {
+                    matrix[(i, j)] = dot(rows[i].1, rows[j].1);
+                    matrix[(j, i)] = matrix[(i, j)];
+                }
+            }
+            Some(KnownChannel { rows, gradient, matrix })
+        };
+        let channels = (0..scene.channels.len()).into_par_iter().map(of_channel).collect();
+        Self { knobs: model.len(), channels }
+    }
+}
+
 /// Simulate every effect of `effects` in `rig`, whose residuals are `base`. Places that only reach axes outside the mask beside
 /// it are left out: nothing is missing there.
 pub fn screen(
@@ -149,10 +188,11 @@ impl Screen {
         stack: &Stack,
         model: Option<&Sensitivities>,
     ) -> Vec<Vec<Gain>> {
+        let known = model.map(|model| Known::new(scene, stack, model));
         let tested: Vec<Option<(usize, Gain)>> = self
             .directions
             .par_iter()
-            .map(|d| self.gain(scene, d, stack, model).map(|gain| (d.effect, gain)))
+            .map(|d| self.gain(d, stack, known.as_ref()).map(|gain| (d.effect, gain)))
             .collect();
         let mut best: Vec<Vec<Gain>> = vec![Vec::new(); self.effects.len()];
         for (effect, gain) in tested.into_iter().flatten() {
@@ -193,13 +233,7 @@ impl Screen {
         best
     }
 
-    fn gain(
-        &self,
-        scene: &Scene,
-        direction: &Direction,
-        stack: &Stack,
-        model: Option<&Sensitivities>,
-    ) -> Option<Gain> {
+    fn gain(&self, direction: &Direction, stack: &Stack, known: Option<&Known>) -> Option<Gain> {
         let mut along = 0.0;
         for (c, row) in &direction.rows {
             along += dot(row, stack[*c].as_ref()?);
@@ -207,21 +241,18 @@ impl Screen {
         let mut energy = direction.energy;
         // What the model moves by alone, and for each unit of the direction.
         let mut room: Option<(DVector<f64>, DVector<f64>)> = None;
-        if let Some(model) = model {
-            let n = model.len();
+        if let Some(known) = known {
+            let n = known.knobs;
             let mut matrix = DMatrix::<f64>::identity(n, n) * 1.0e-9;
             let mut gradient = DVector::zeros(n);
             let mut cross = DVector::zeros(n);
             for (c, row) in &direction.rows {
-                let here = stack[*c].as_ref()?;
-                let known: Vec<(usize, &Vec<f32>)> = (0..n)
-                    .filter_map(|k| model.row(k, *c, scene.channels[*c].axis).map(|r| (k, r)))
-                    .collect();
-                for &(a, ra) in &known {
-                    gradient[a] += dot(ra, here);
-                    cross[a] += dot(ra, row);
-                    for &(b, rb) in &known {
-                        matrix[(a, b)] += dot(ra, rb);
+                let here = known.channels[*c].as_ref()?;
+                for (i, &(a, of_knob)) in here.rows.iter().enumerate() {
+                    gradient[a] += here.gradient[i];
+                    cross[a] += dot(of_knob, row);
+                    for (j, &(b, _)) in here.rows.iter().enumerate() {
+                        matrix[(a, b)] += here.matrix[(i, j)];
                     }
                 }
             }

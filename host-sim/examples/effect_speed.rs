@@ -53,6 +53,12 @@ fn main() {
             rigs.push((format!("{} {}", info.name, size.name), rig));
         }
     }
+    // Relaxation times that spread: what a diagnosis tries.
+    let mut spread = nominal.clone();
+    for (parameter, value) in [("branch_n_per_m", 5.0e5), ("spread_decades", 0.5)] {
+        spread.set("viscoelasticity", Place::Axis(0), parameter, value).expect("in its bounds");
+    }
+    rigs.push(("viscoelasticity spread_decades".to_owned(), spread));
     let mut ns = vec![f64::INFINITY; rigs.len()];
     for _ in 0..TURNS {
         for ((name, rig), best) in rigs.iter().zip(&mut ns) {

@@ -56,6 +56,8 @@ pub fn substeps(model: &AxisModel, step_s: f64) -> usize {
     let fastest = a
         .complex_eigenvalues()
         .iter()
+        // What does not ring goes where the amplifier takes it.
+        .filter(|mode| mode.im.abs() > mode.re.abs())
         .map(|mode| mode.im.abs())
         .filter(|rate| *rate < RESOLVED_PER_S)
         .fold(0.0, f64::max);
