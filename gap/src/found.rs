@@ -163,7 +163,7 @@ fn by_axis(
     };
     let open: Vec<usize> = (0..axes)
         .filter(|&a| gaps[a].counts && by_axis[a].is_some_and(|c| !accept::names(c)))
-        .filter(|&a| !alone(a))
+        .filter(|&a| !alone(a) && !search.knows_nothing_of(a))
         .collect();
     if open.is_empty() || gaps.iter().filter(|g| g.counts).count() < 2 {
         return Ok(model);

@@ -15,6 +15,7 @@ pub mod control;
 mod descent;
 pub mod diagnose;
 pub mod diagnosis;
+mod each_axis;
 pub mod energy;
 mod error;
 mod few;

@@ -9,7 +9,7 @@
 use crate::Error;
 use crate::accept;
 use crate::fit::Effort;
-use crate::model::{Model, Term, start_terms};
+use crate::model::{Model, Term, join_terms, start_terms};
 use crate::scene::Stack;
 use crate::select::{MOST_EFFECTS, Search};
 
@@ -40,6 +40,8 @@ const AS_LITTLE: f64 = 1.1;
 const AS_FURTHER: f64 = 1.5;
 /// ... or this share of the gap.
 const NEXT_TO_NOTHING: f64 = 0.003;
+/// Multiple of what a plain model leaves that a loop of any law may leave to be looked into.
+const NEAR: f64 = 2.0;
 /// Share of the gap that a model leaves at most whose loop is let go although another one was chosen.
 const HALF: f64 = 0.5;
 /// Share of the gap that the form of a single right effect leaves.
@@ -116,6 +118,7 @@ impl Search<'_> {
             is_another_law = self.left_on(&freed.fit.stack, axes) < ANOTHER_LAW * before
                 && freed.fit.cost < enough;
             if is_another_law {
+                is_another_law = self.holds_up(&freed, plain.as_ref())?;
                 self.remember(freed);
                 break;
             }
@@ -133,6 +136,32 @@ impl Search<'_> {
         self.tried = known;
         self.ranges.any_loop = false;
         Ok(plain)
+    }
+
+    /// Whether a loop of any law may yet take the place of a plain model of several effects that accounts for all but its form. By itself, or
+    /// beside what that has besides loops and friction, it has to come near: then only are others tried beside it.
+    fn holds_up(&mut self, freed: &Model, plain: Option<&Model>) -> Result<bool, Error> {
+        let left = |m: &Model| (m.fit.cost - self.noise).max(0.0);
+        let Some(plain) = plain.filter(|m| m.terms.len() > 1) else { return Ok(true) };
+        let line = NEAR * left(plain).max(NEXT_TO_NOTHING * self.gap);
+        if left(plain) > FORM_OF_ONE * self.gap || left(freed) < line {
+            return Ok(true);
+        }
+        let others = plain.part(|term, _| ![LOOP, FRICTION].contains(&term.name()));
+        if others.is_empty() || others.len() == MOST_EFFECTS {
+            return Ok(false);
+        }
+        // With one effect more it has to leave much less in the end.
+        let line = if others.len() == plain.terms.len() { left(plain) } else { line };
+        let mut all = start_terms(freed);
+        join_terms(&mut all, others);
+        all.sort_by_key(|(term, _)| term.name() == LOOP);
+        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = all.into_iter().unzip();
+        let effort = Effort { hopeless: self.noise + line, ..self.effort() };
+        let beside = self.fit_model(terms, start.concat(), effort)?;
+        let holds_up = left(&beside) < line;
+        self.remember(beside);
+        Ok(holds_up)
     }
 
     /// Whether a model with a loop of any law takes the place of one with a plain loop at most.

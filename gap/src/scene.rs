@@ -216,11 +216,14 @@ impl Scene {
         include: impl Fn(&Channel) -> bool + Sync,
         keep: bool,
     ) -> Result<Vec<Stack>, Error> {
-        let jobs: Vec<(usize, usize)> = (0..rigs.len())
-            .flat_map(|rig| (0..self.tracks.len()).map(move |track| (rig, track)))
-            .collect();
+        // The longest ones first, each by itself, or one core would wait for the other.
+        let mut order: Vec<usize> = (0..self.tracks.len()).collect();
+        order.sort_by_key(|&track| std::cmp::Reverse(self.tracks[track].len()));
+        let jobs: Vec<(usize, usize)> =
+            order.iter().flat_map(|&track| (0..rigs.len()).map(move |rig| (rig, track))).collect();
         let done: Vec<(usize, Rows)> = jobs
             .into_par_iter()
+            .with_max_len(1)
             .map(|(index, track)| {
                 let (rig, wanted) = rigs[index];
                 let mine: Vec<usize> = (0..self.channels.len())

@@ -53,11 +53,15 @@ const CLEARLY: f64 = 1.0;
 /// ... and this much cost in all, against noise.
 pub(crate) const WORTH_ABSOLUTE: f64 = 60.0;
 /// The first effect must remove this share of the gap: three of less never make an explanation.
-const WORTH_OF_FIRST: f64 = 0.05;
+pub(crate) const WORTH_OF_FIRST: f64 = 0.05;
 /// Share of the gap that the effects which a screen promised leave at most, or the others are fitted as well.
-const MOSTLY_OPEN: f64 = 0.5;
+pub(crate) const MOSTLY_OPEN: f64 = 0.5;
 /// Share of the gap below which no better start is looked for.
 pub(crate) const CLOSED: f64 = 0.002;
+/// Share of the gap that a single effect may leave for its fit to go on.
+const FAIR: f64 = 0.3;
+/// ... beside one that closes all of it.
+const RIVAL: f64 = 0.03;
 /// The search: scene, nominal rig, screen of the catalogue and what the whole gap costs.
 pub struct Search<'a> {
     /// Session.
@@ -81,7 +85,7 @@ pub struct Search<'a> {
     /// Terms with their values that another look at this session came to.
     pub(crate) known: Vec<(Term, Vec<f64>)>,
     /// Bit mask of the axes where something is missing.
-    loud: u32,
+    pub(crate) loud: u32,
     /// Recordings that tell most models from the right one.
     pub(crate) few: Option<Few>,
     pub(crate) include: &'a (dyn Fn(&Channel) -> bool + Sync),
@@ -136,6 +140,7 @@ impl<'a> Search<'a> {
             let model = self.fit_terms((&[], &self.base), effect, &gains)?;
             self.remember(model);
         }
+        self.of_each_axis(&nominal_gains)?;
         for size in 2..=MOST_EFFECTS {
             self.compose(size)?;
         }
@@ -182,6 +187,12 @@ impl<'a> Search<'a> {
                 || left < WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap)
             {
                 break;
+            }
+            // What suits different axes may account for everything already.
+            let is_done =
+                |m: Model| crate::accept::gaps(self.scene, &m.fit.stack).iter().all(|g| !g.counts);
+            if self.best_of(size + 1).is_some_and(is_done) {
+                continue;
             }
             self.widen(size)?;
         }
@@ -323,7 +334,9 @@ impl<'a> Search<'a> {
         let best = self.tried.first().map_or(f64::INFINITY, |m| m.fit.cost);
         // With a good model at hand, one that is still far behind after two iterations is not worth more of them.
         let hopeless = if known.is_empty() {
-            self.noise + (3.0 * (best - self.noise)).max(0.3 * self.gap)
+            // Beside one that closes everything only what comes near to that is of interest: what else it could be.
+            let open = if best - self.noise < CLOSED * self.gap { RIVAL } else { FAIR };
+            self.noise + (3.0 * (best - self.noise)).max(open * self.gap)
         } else {
             best.max(self.noise + 0.02 * self.gap) + 0.05 * (best - self.noise).max(0.0)
         };
@@ -385,8 +398,12 @@ impl<'a> Search<'a> {
         for p in 0..term.places.len() {
             start[range.start + p * width..range.start + (p + 1) * width].copy_from_slice(&lead);
         }
-        let other =
-            self.fit_model(model.terms.clone(), start, Effort { iterations: 4, ..effort })?;
+        let hopeless = model.fit.cost;
+        let other = self.fit_model(
+            model.terms.clone(),
+            start,
+            Effort { iterations: 4, hopeless, ..effort },
+        )?;
         Ok(if other.fit.cost < model.fit.cost { other } else { model })
     }
 

@@ -82,7 +82,9 @@ fn instead(
     if !is_pair && left < WORTH_ABSOLUTE {
         return Ok(None);
     }
-    let search = Search::new(scene, rig, &[stranger], &model.ranges, &fitted, &tick)?;
+    let mut search = Search::new(scene, rig, &[stranger], &model.ranges, &fitted, &tick)?;
+    // What leaves clearly more is not fitted to the end.
+    search.remember(model.clone());
     let worth = WORTH_ABSOLUTE.max(OPEN * search.gap);
     if !is_pair && left < worth {
         return Ok(None);

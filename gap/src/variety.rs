@@ -7,7 +7,7 @@
 use crate::Error;
 use crate::fit::Effort;
 use crate::model::Model;
-use crate::select::{CLOSED, Search};
+use crate::select::{CLOSED, Search, WORTH_OF_FIRST};
 
 /// Effect, the parameter that is zero in the plain variety, where the other one starts, and by how much the effect's first size grows there.
 const VARIETIES: [(&str, &str, f64, f64); 1] = [("amplifier-current-limit", "knee", 0.35, 1.25)];
@@ -20,7 +20,9 @@ impl Search<'_> {
         let left = model.fit.cost - self.noise;
         let variety = VARIETIES.iter().find(|(name, ..)| *name == info.name);
         let Some(&(_, parameter, start, growth)) = variety else { return Ok(model) };
-        if left < CLOSED * self.gap || model.fit.cost > effort.hopeless {
+        // Where the plain one does nothing at all, there is nothing that a knee could round off.
+        let does_nothing = model.terms.len() == 1 && left > (1.0 - WORTH_OF_FIRST) * self.gap;
+        if left < CLOSED * self.gap || model.fit.cost > effort.hopeless || does_nothing {
             return Ok(model);
         }
         let Some(index) = info.parameters.iter().position(|p| p.name == parameter) else {

@@ -12,6 +12,8 @@ use crate::select::Search;
 pub(crate) const PROMISE: f64 = 0.3;
 /// ... a third one: beside two that were fitted, little is left that is not a straight line.
 const PROMISE_OF_THIRD: f64 = 0.5;
+/// Models that a third effect is tried beside.
+const BEAM_OF_THIRD: usize = 2;
 /// Share of the gap that a single effect leaves where the likeliest partners are fitted although none promises enough.
 const LEFT_OPEN: f64 = 0.02;
 /// How many of them.
@@ -27,7 +29,12 @@ impl Search<'_> {
         starts.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
         // What is one number cannot bend to what it is not, and seldom comes first where two are missing.
         let plain = starts.iter().skip(self.breadth.beam).find(|m| m.is_plain()).cloned();
-        starts.truncate(self.breadth.beam);
+        // Two that leave about the same are mostly two names of one thing: a third effect beside the second of them tells little more.
+        starts.truncate(if size > 1 {
+            self.breadth.beam.min(BEAM_OF_THIRD)
+        } else {
+            self.breadth.beam
+        });
         starts.extend(plain.filter(|_| size == 1));
         let reach = starts.first().map_or(0.0, |b| b.fit.cost + 0.3 * self.gap);
         starts.retain(|m| m.fit.cost <= reach);

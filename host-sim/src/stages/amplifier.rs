@@ -79,11 +79,16 @@ const LONGEST_STEP: f64 = 0.25;
 /// Slope, in units of the limit, where the first order asks for `asked` of it: `asked (1 + asked^(1/knee))^-knee`, which goes from the one
 /// to the other, all the sharper the smaller the knee.
 pub(crate) fn soft_slope(asked: f64, knee: f64) -> f64 {
-    if asked > 1.0 {
-        (1.0 + asked.powf(-1.0 / knee)).powf(-knee)
-    } else {
-        asked * (1.0 + asked.powf(1.0 / knee)).powf(-knee)
+    if asked <= 0.0 {
+        return 0.0;
     }
+    let bend = (-asked.ln().abs() / knee).exp();
+    asked.min(1.0) * (-knee * bend.ln_1p()).exp()
+}
+
+/// Slope asked for, in units of the limit, below which a knee takes less than 2e-9 of it.
+fn unbent(knee: f64) -> f64 {
+    (-20.0 * knee).exp()
 }
 
 /// What is left of a way after `length` time constants, both in units of what the limit covers in one.
@@ -221,6 +226,10 @@ impl AmplifierSim {
             let slope = if gap > 0.0 { up } else { down };
             if softness > 0.0 && self.time_constant_s > 0.0 {
                 let asked = gap.abs() / (slope * self.time_constant_s);
+                if asked < unbent(softness) {
+                    self.approach(target_v, segment);
+                    return;
+                }
                 let left = soft_approach(asked, softness, segment.length_s / self.time_constant_s);
                 let left = if asked > 0.0 { left / asked } else { 1.0 };
                 self.ramp(target_v - gap * left, segment.length_s);
@@ -269,4 +278,39 @@ impl AmplifierSim {
 fn clamp(v: f64, min: f64, max: f64) -> f64 {
     let v = if v < max { v } else { max };
     if v > min { v } else { min }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_knee_does_not_bend_goes_exponentially() {
+        for knee in [0.05, 0.2, 0.5, 1.0] {
+            for length in [0.05, 0.25] {
+                let asked = unbent(knee);
+                let left = soft_approach(asked, knee, length);
+                let error = left / (asked * (-length).exp()) - 1.0;
+                // That of the integration.
+                assert!(error.abs() < 2.0e-5, "knee {knee}, {length}: {error:e}");
+                let slope = soft_slope(asked, knee) / asked - 1.0;
+                assert!(slope.abs() < 2.0e-9, "knee {knee}: {slope:e}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_slope_beyond_its_limit_is_the_limit() {
+        for knee in [0.05, 0.3, 1.0] {
+            for asked in [0.0, 1.0e-6, 0.3, 1.0, 2.0, 40.0, 1.0e6] {
+                let root = |power: f64| power.powf(1.0 / knee);
+                let expected = asked * (1.0 + root(asked)).powf(-knee);
+                let found = soft_slope(asked, knee);
+                if root(asked).is_finite() {
+                    assert!((found - expected).abs() <= 1.0e-12 * expected, "{knee}, {asked}");
+                }
+                assert!((0.0..=1.0).contains(&found));
+            }
+        }
+    }
 }

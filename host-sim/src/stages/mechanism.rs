@@ -56,10 +56,9 @@ pub fn substeps(model: &AxisModel, step_s: f64) -> usize {
     let fastest = a
         .complex_eigenvalues()
         .iter()
-        // What does not ring goes where the amplifier takes it.
-        .filter(|mode| mode.im.abs() > mode.re.abs())
+        // By its natural frequency: a damper makes a fast mode swing slowly, but follow no slower.
+        .filter(|mode| mode.norm() < RESOLVED_PER_S)
         .map(|mode| mode.im.abs())
-        .filter(|rate| *rate < RESOLVED_PER_S)
         .fold(0.0, f64::max);
     let wanted = (fastest * step_s / PHASE).ceil() as usize;
     wanted.clamp(1, MAX_SUBSTEPS).next_power_of_two()
@@ -356,6 +355,40 @@ impl Shape {
             }
             // P = f0, Q = f1 - f0.
             Shape::Ramp => (constant - varying, varying),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::model::Model;
+    use super::*;
+    use crate::Place;
+    use crate::rig::Rig;
+
+    const STEP_S: f64 = 1.0e-4;
+
+    /// Parts of a tick for a mechanism with so much mass and damping.
+    fn parts(added_kg: f64, damping_n_s_per_m: f64) -> usize {
+        let mut rig = Rig::named("handley").unwrap();
+        let axis = Place::Axis(0);
+        rig.set("inertia", axis, "added_kg", added_kg).unwrap();
+        rig.set("inertia", axis, "added_damping_n_s_per_m", damping_n_s_per_m).unwrap();
+        substeps(&Model::new(&rig, STEP_S).axes[0], STEP_S)
+    }
+
+    #[test]
+    fn slow_modes_take_sub_steps() {
+        assert_eq!(parts(0.1, 50.0), 8);
+        assert_eq!(parts(1.0, 50.0), 2);
+        assert_eq!(parts(0.1, 3.7e3), 4);
+    }
+
+    #[test]
+    fn a_bare_stack_takes_none_however_it_is_damped() {
+        // From ringing to a damping ratio of 0.98, where it swings at 6 kHz.
+        for damping in [0.0, 200.0, 420.0, 468.0] {
+            assert_eq!(parts(0.0, damping), 1, "{damping} N s/m");
         }
     }
 }
