@@ -11,7 +11,7 @@ use crate::accept;
 use crate::fit::Effort;
 use crate::model::{Model, Term, join_terms, start_terms};
 use crate::scene::Stack;
-use crate::select::{MOST_EFFECTS, Search};
+use crate::select::{CLOSED, MOST_EFFECTS, Search};
 
 /// The effect that this is about.
 const LOOP: &str = "hysteresis-shape";
@@ -92,7 +92,8 @@ impl Search<'_> {
             m.terms.len() < MOST_EFFECTS
                 && accept::gaps(self.scene, &m.fit.stack).iter().all(|g| !g.counts)
         };
-        if bound.is_empty() || plain.as_ref().is_some_and(is_closed) {
+        let is_done = |m: &Model| is_closed(m) || self.is_plainly_a_loop(m);
+        if bound.is_empty() || plain.as_ref().is_some_and(is_done) {
             return Ok(plain);
         }
         // Where one effect accounts for all but its form, a loop has to do as well by itself: with company it can take on any form.
@@ -138,6 +139,15 @@ impl Search<'_> {
         Ok(plain)
     }
 
+    /// Whether a model leaves next to nothing with a plain loop and nothing that bends as one does: another law would change no name.
+    fn is_plainly_a_loop(&self, model: &Model) -> bool {
+        let bends = |term: &&Term| term.effect.info().confused_with.contains(&LOOP);
+        let others = || model.terms.iter().filter(|term| term.name() != LOOP);
+        let has_loop = others().count() < model.terms.len();
+        let left = model.fit.cost - self.noise;
+        has_loop && !others().any(|term| bends(&term)) && left < CLOSED * self.gap
+    }
+
     /// Whether a loop of any law may yet take the place of a plain model of several effects that accounts for all but its form. By itself, or
     /// beside what that has besides loops and friction, it has to come near: then only are others tried beside it.
     fn holds_up(&mut self, freed: &Model, plain: Option<&Model>) -> Result<bool, Error> {
@@ -147,12 +157,15 @@ impl Search<'_> {
         if left(plain) > FORM_OF_ONE * self.gap || left(freed) < line {
             return Ok(true);
         }
-        let others = plain.part(|term, _| ![LOOP, FRICTION].contains(&term.name()));
-        if others.is_empty() || others.len() == MOST_EFFECTS {
+        let has_company = freed.key();
+        let mut others = plain.part(|term, _| ![LOOP, FRICTION].contains(&term.name()));
+        others.retain(|(term, _)| !has_company.contains(&term.name()));
+        let size = freed.terms.len() + others.len();
+        if others.is_empty() || size > MOST_EFFECTS || left(plain) < CLOSED * self.gap {
             return Ok(false);
         }
         // With one effect more it has to leave much less in the end.
-        let line = if others.len() == plain.terms.len() { left(plain) } else { line };
+        let line = if size > plain.terms.len() { left(plain) } else { line };
         let mut all = start_terms(freed);
         join_terms(&mut all, others);
         all.sort_by_key(|(term, _)| term.name() == LOOP);
