@@ -97,6 +97,11 @@ fn of_integrators(scene: &Scene, channel: &Channel) -> f64 {
     share(SHARE_OF_MOTION, moved.population_std_dev()) + share(of_step, step.population_std_dev())
 }
 
+/// Whether no axis has a gap beyond noise.
+pub fn is_clean(scene: &Scene, stack: &Stack) -> bool {
+    gaps(scene, stack).iter().all(|gap| !gap.counts)
+}
+
 /// Whether the difference between two stacks would count as a gap, on any axis or in any recording of one.
 pub fn counts(scene: &Scene, without: &Stack, with: &Stack) -> bool {
     let mut axes = vec![(0.0, 0.0); scene.position_noise.len()];

@@ -71,6 +71,11 @@ fn given_way(model: &Model) -> Vec<f64> {
     values
 }
 
+/// Whether an effect bends as a loop does: beside it, a loop is not told from it.
+fn bends(term: &Term) -> bool {
+    term.effect.info().confused_with.contains(&LOOP)
+}
+
 /// Axes with a loop of another kind.
 fn places(model: &Model) -> usize {
     model.terms.iter().find(|term| term.name() == LOOP).map_or(usize::MAX, |term| term.places.len())
@@ -88,10 +93,8 @@ impl Search<'_> {
             beside.filter(|(axes, _)| *axes != 0).or_else(|| self.best_with_loop())
         });
         let bound: Vec<(u32, Model)> = own.into_iter().chain(beside).filter(|b| b.0 != 0).collect();
-        let is_closed = |m: &Model| {
-            m.terms.len() < MOST_EFFECTS
-                && accept::gaps(self.scene, &m.fit.stack).iter().all(|g| !g.counts)
-        };
+        let is_closed =
+            |m: &Model| m.terms.len() < MOST_EFFECTS && accept::is_clean(self.scene, &m.fit.stack);
         let is_done = |m: &Model| is_closed(m) || self.is_plainly_a_loop(m);
         if bound.is_empty() || plain.as_ref().is_some_and(is_done) {
             return Ok(plain);
@@ -141,11 +144,9 @@ impl Search<'_> {
 
     /// Whether a model leaves next to nothing with a plain loop and nothing that bends as one does: another law would change no name.
     fn is_plainly_a_loop(&self, model: &Model) -> bool {
-        let bends = |term: &&Term| term.effect.info().confused_with.contains(&LOOP);
-        let others = || model.terms.iter().filter(|term| term.name() != LOOP);
-        let has_loop = others().count() < model.terms.len();
+        let has_loop = model.key().contains(&LOOP);
         let left = model.fit.cost - self.noise;
-        has_loop && !others().any(|term| bends(&term)) && left < CLOSED * self.gap
+        has_loop && !model.terms.iter().any(bends) && left < CLOSED * self.gap
     }
 
     /// Whether a loop of any law may yet take the place of a plain model of several effects that accounts for all but its form. By itself, or
@@ -168,7 +169,6 @@ impl Search<'_> {
         let line = if size > plain.terms.len() { left(plain) } else { line };
         let mut all = start_terms(freed);
         join_terms(&mut all, others);
-        all.sort_by_key(|(term, _)| term.name() == LOOP);
         let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = all.into_iter().unzip();
         let effort = Effort { hopeless: self.noise + line, ..self.effort() };
         let beside = self.fit_model(terms, start.concat(), effort)?;
@@ -213,8 +213,6 @@ impl Search<'_> {
     /// The best model of several effects with a plain loop among them, where that of what the search came to is no good part of the answer:
     /// what bends may have taken the place of a loop of another law. What the others account for says nothing of it.
     fn best_with_loop(&self) -> Option<(u32, Model)> {
-        // Beside what bends too, a loop is not told from it.
-        let bends = |term: &Term| term.effect.info().confused_with.contains(&LOOP);
         let is_one =
             |m: &&Model| m.terms.len() > 1 && m.key().contains(&LOOP) && !m.terms.iter().any(bends);
         let best = self.tried.iter().find(is_one)?;

@@ -62,6 +62,7 @@ pub(crate) const CLOSED: f64 = 0.002;
 const FAIR: f64 = 0.3;
 /// ... beside one that closes all of it.
 const RIVAL: f64 = 0.03;
+
 /// The search: scene, nominal rig, screen of the catalogue and what the whole gap costs.
 pub struct Search<'a> {
     /// Session.
@@ -179,8 +180,7 @@ impl<'a> Search<'a> {
                 break;
             }
             let left = candidate.fit.cost - self.noise;
-            let is_closed =
-                crate::accept::gaps(self.scene, &candidate.fit.stack).iter().all(|g| !g.counts);
+            let is_closed = crate::accept::is_clean(self.scene, &candidate.fit.stack);
             best = Some(candidate);
             if size == MOST_EFFECTS
                 || is_closed
@@ -189,8 +189,7 @@ impl<'a> Search<'a> {
                 break;
             }
             // What suits different axes may account for everything already.
-            let is_done =
-                |m: Model| crate::accept::gaps(self.scene, &m.fit.stack).iter().all(|g| !g.counts);
+            let is_done = |m: Model| crate::accept::is_clean(self.scene, &m.fit.stack);
             if self.best_of(size + 1).is_some_and(is_done) {
                 continue;
             }

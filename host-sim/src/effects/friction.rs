@@ -91,7 +91,6 @@ impl Force for Dahl {
             self.speed.commit(x_m - self.at_m);
         }
         self.at_m = x_m;
-        self.last.set((f64::NAN, 0.0));
     }
 }
 
