@@ -5,19 +5,21 @@ use host_sim::rig::Rig;
 use indicatif::{ProgressBar, ProgressStyle};
 use recording::Session;
 
-use crate::accept::{self, AxisGapSize};
-use crate::causes::causes_of;
 use crate::diagnosis::{Diagnosis, RecordingGap, Role, Verdict};
-use crate::energy::Energies;
-use crate::floor::Kind;
-use crate::found::{self, Found};
-use crate::knobs::EffectRef;
+use crate::fitting::knobs::EffectRef;
+use crate::judge::accept::{self, AxisGapSize};
+use crate::judge::causes::causes_of;
+use crate::judge::strangers::Masked;
+use crate::judge::{slow, steady, strangers};
 use crate::locate;
 use crate::picture;
-use crate::scene::{Channel, Scene, Stack, TOLERANCE, Wanted};
-use crate::split::{hold_out_last_third, split};
-use crate::strangers::Masked;
-use crate::{Error, Options, intake, past, rest, slow, steady, strangers};
+use crate::search::found::{self, Found};
+use crate::session::energy::Energies;
+use crate::session::floor::Kind;
+use crate::session::scene::{Channel, Scene, Stack, TOLERANCE, Wanted};
+use crate::session::split::{hold_out_last_third, split};
+use crate::session::{intake, past};
+use crate::{Error, Options, rest};
 
 /// What `flexstage diagnose` writes.
 pub struct Outcome {
@@ -107,7 +109,7 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
         .filter(|e: &&'static dyn Effect| !options.exclude.iter().any(|x| x == e.info().name))
         .collect();
 
-    let ranges = crate::guess::ranges(&scene, rig, &nominal.raw)?;
+    let ranges = crate::fitting::guess::ranges(&scene, rig, &nominal.raw)?;
     let mut found: Option<Found> = None;
     if nominal.any_gap() {
         past::tell(&mut scene, rig, &effects, &ranges)?;

@@ -10,15 +10,16 @@ use host_sim::rig::Rig;
 use recording::Session;
 
 use crate::diagnosis::Band;
-use crate::energy::Energies;
-use crate::fit::{Effort, Fit, fit};
-use crate::floor::Kind;
-use crate::intake;
-use crate::knobs::{Knob, Prior, Target};
-use crate::pyramid::{MOST_LEFT_OUT, low_pass, share_kept};
-use crate::scene::{Channel, Scene};
-use crate::split::hold_out_last_third;
-use crate::{Error, Options, slow};
+use crate::fitting::fit::{Effort, Fit, fit};
+use crate::fitting::knobs::{Knob, Prior, Target};
+use crate::judge::slow;
+use crate::session::energy::Energies;
+use crate::session::floor::Kind;
+use crate::session::intake;
+use crate::session::pyramid::{MOST_LEFT_OUT, low_pass, share_kept};
+use crate::session::scene::{Channel, Scene};
+use crate::session::split::hold_out_last_third;
+use crate::{Error, Options};
 
 /// Fits with weights at most.
 const ROUNDS: usize = 6;

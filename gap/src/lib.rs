@@ -1,58 +1,25 @@
 //! Why a simulation and a rig disagree: locate, name, fit and accept.
 //!
-//! Recordings of a rig go in, a [`Diagnosis`] and the corrected rig come out. The steps are files: [`intake`] lays recordings on
-//! their clocks, [`floor`] measures the noise, [`scene`] whitens residuals, [`locate`] says where the gap lies, [`split`] holds
-//! recordings out, [`screen`] tests the catalogue, [`fit`] turns parameters, [`select`] chooses effects, [`accept`] decides what may
-//! be said, `strangers` and `steady` take back what only passes for a cause, [`ambiguity`] says what else it could be, [`rest`] measures what is
-//! left, [`picture`] draws it. Method and sources: the field's practice of output-error
-//! identification (Ljung, System Identification, chapter 7) with a model-form tolerance after Kennedy and O'Hagan.
+//! Recordings of a rig go in, a [`Diagnosis`] and the corrected rig come out. The steps are folders: [`session`] makes recordings
+//! comparable with simulations, [`locate`] says where the gap lies, [`search`] chooses effects of the catalogue with the models and fits of
+//! [`fitting`], [`judge`] decides what may be said, [`rest`] measures what is left, [`picture`] draws it all; [`mod@diagnose`] is the way
+//! through them. Method and sources: the field's practice of output-error identification (Ljung, System Identification, chapter 7) with a
+//! model-form tolerance after Kennedy and O'Hagan. Beside it, [`mod@identify`] refits nominal parameters alone, [`control`] finds what the
+//! controller has to know, and [`platform`] does all of this for compliant platforms.
 
-pub mod accept;
-pub mod ambiguity;
-mod causes;
-mod compose;
 pub mod control;
-mod descent;
 pub mod diagnose;
 pub mod diagnosis;
-mod each_axis;
-pub mod energy;
 mod error;
-mod few;
-mod fewer;
-pub mod fit;
-pub mod floor;
-mod found;
-pub mod guess;
+pub mod fitting;
 pub mod identify;
-pub mod intake;
-mod joint;
-pub mod knobs;
+pub mod judge;
 pub mod locate;
-mod loops;
-mod memory;
-pub mod model;
-mod motions;
-mod past;
 pub mod picture;
 pub mod platform;
-mod prune;
-pub mod pyramid;
-mod resonance;
 pub mod rest;
-pub mod scene;
-pub mod screen;
-pub mod select;
-mod slow;
-mod spectra;
-pub mod split;
-mod steady;
-mod strangers;
-mod swap;
-mod threshold;
-mod trade;
-mod variety;
-mod widen;
+pub mod search;
+pub mod session;
 
 pub use control::{ForControl, for_control};
 pub use diagnose::{Outcome, diagnose};

@@ -7,10 +7,10 @@
 use std::collections::BTreeMap;
 
 use crate::diagnosis::{Cause, Location};
-use crate::floor::Kind;
-use crate::pyramid::centre_hz;
-use crate::scene::{Scene, Stack};
-use crate::strangers::Masked;
+use crate::judge::strangers::Masked;
+use crate::session::floor::Kind;
+use crate::session::pyramid::centre_hz;
+use crate::session::scene::{Scene, Stack};
 
 /// Shares of the gap energy in different cuts.
 #[derive(Debug, Clone, Default)]
@@ -232,7 +232,7 @@ fn leftover_stage(
         if channel.axis != axis {
             continue;
         }
-        let coefficients = crate::pyramid::transform(row, &channel.levels);
+        let coefficients = crate::session::pyramid::transform(row, &channel.levels);
         for level in 0..channel.levels.count() {
             let part = &coefficients[channel.levels.range(level)];
             let energy =

@@ -6,10 +6,10 @@ use report::{Report, Table};
 
 use crate::diagnose::Findings;
 use crate::diagnosis::{CauseKind, Parameter, Role, Verdict};
-use crate::floor::Kind;
 use crate::locate::Cuts;
-use crate::scene::{Channel, Stack};
-use crate::spectra::spectrum;
+use crate::session::floor::Kind;
+use crate::session::scene::{Channel, Stack};
+use crate::session::spectra::spectrum;
 
 /// Stages in the order of the chain.
 const STAGES: [&str; 6] = ["drive", "amplifier", "piezo", "mechanism", "sensor", "environment"];

@@ -2,8 +2,8 @@
 
 mod common;
 
-use gap::intake;
-use gap::scene::{Channel, Scene, Wanted};
+use gap::session::intake;
+use gap::session::scene::{Channel, Scene, Wanted};
 use host_sim::Place;
 use host_sim::rig::Rig;
 

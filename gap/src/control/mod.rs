@@ -17,7 +17,8 @@ use host_sim::rig::{Axis, Rig};
 use rayon::prelude::*;
 use recording::Session;
 
-use crate::{Error, intake};
+use crate::Error;
+use crate::session::intake;
 
 mod bounded;
 mod creep;

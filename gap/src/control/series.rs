@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use host_sim::rig::Axis;
 
-use crate::intake::Track;
+use crate::session::intake::Track;
 
 /// Length of the moving average that a slow drive does not differ from, s: -3 dB at 18 Hz.
 const SMOOTH_S: f64 = 0.025;

@@ -3,9 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::waves::drive_rms_v;
-use crate::floor::unrepeated;
-use crate::scene::Scene;
-use crate::spectra::spectrum;
+use crate::session::floor::unrepeated;
+use crate::session::scene::Scene;
+use crate::session::spectra::spectrum;
 
 /// A recording with much that differs from one period to the next.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]

@@ -20,7 +20,7 @@ pub use lag::LagAtLevel;
 pub(crate) use picture::draw;
 pub use response::{BandLeft, OwnOrAll};
 
-use crate::scene::{Scene, Stack};
+use crate::session::scene::{Scene, Stack};
 
 /// Share of the spectrum, from 0 Hz, that counts as slow motion: resonances are faster, loops and static gains rule.
 const SLOW_SHARE: f64 = 1.0 / 16.0;

@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use realfft::RealFftPlanner;
 use realfft::num_complex::Complex;
 
-use crate::floor::Kind;
-use crate::intake::Track;
-use crate::scene::{Scene, Stack};
+use crate::session::floor::Kind;
+use crate::session::intake::Track;
+use crate::session::scene::{Scene, Stack};
 
 /// Fourier lines of one signal, bin by bin.
 pub(super) type Line = Vec<Complex<f64>>;

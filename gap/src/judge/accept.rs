@@ -1,0 +1,200 @@
+//! When a gap is a gap, when a cause is a cause, and when the tool must say that it does not know.
+
+use statrs::statistics::Statistics;
+
+use crate::diagnosis::{AxisGap, Verdict};
+use crate::session::energy::Energies;
+use crate::session::floor::Kind;
+use crate::session::scene::{Channel, Scene, Stack};
+
+/// Excess energy of an axis, as a share of its noise energy over the session, that counts as a gap: a quarter of sigma. The noise
+/// is known to 2 % of its energy, and another integrator differs by as much again at steps of 100 V.
+const AXIS_EXCESS: f64 = 0.06;
+/// The same for one recording of one axis: 0.55 sigma.
+const CHANNEL_EXCESS: f64 = 0.3;
+/// Both beyond this share of the motion in a recording: on the edges of 100 V squares integrators differ by about as much.
+const SHARE_OF_MOTION: f64 = 5.0e-4;
+/// ... and beyond this share of its motion from sample to sample: half a step of an integrator that takes 16 a tick. Random binary
+/// drives and fast sweeps show it.
+const SHARE_OF_STEP: f64 = 0.03;
+/// ... and it must be this many standard deviations of a chi-square sum.
+const SIGNIFICANT: f64 = 6.0;
+/// Held-out share that an explanation must close to be called one.
+const EXPLAINS: f64 = 0.90;
+/// Below this share on an axis, the causes found there are taken for proxies of something else. Over 380 cases of the truth generator the
+/// right causes close 0.80 of every axis and more, but where next to nothing was held out.
+const PROXY: f64 = 0.78;
+/// The same where every cause on the axis has one law only: a gain is a gain. Over some 700 cases of the truth generator right ones close
+/// 0.97 and more, but for one whose companion was not found; wandering dead times called delays, and the like, close 0.66 to 0.89.
+const PROXY_OF_ONE_LAW: f64 = 0.93;
+/// Gap energy in units of the noise from which that can be told.
+const TELLS_LAWS: f64 = 1.0;
+/// Effects for which nature has other laws than the one that is fitted, so that the right one leaves something.
+const OF_MANY_LAWS: [&str; 7] = [
+    "amplifier-current-limit",
+    "hysteresis-shape",
+    "hysteresis-rate",
+    "creep",
+    "second-mass",
+    "viscoelasticity",
+    "friction",
+];
+
+/// Gap of one axis in units of its noise.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct AxisGapSize {
+    /// Excess energy over noise energy.
+    pub ratio: f64,
+    /// Whether it counts.
+    pub counts: bool,
+}
+
+/// Which axes have a gap beyond noise, in a whitened stack.
+pub fn gaps(scene: &Scene, stack: &Stack) -> Vec<AxisGapSize> {
+    let axes = scene.position_noise.len();
+    let mut excess = vec![0.0; axes];
+    let mut noise = vec![0.0; axes];
+    let mut variance = vec![0.0; axes];
+    let mut worst = vec![0.0_f64; axes];
+    for (c, channel) in scene.channels.iter().enumerate() {
+        let Some(row) = &stack[c] else { continue };
+        let (own, floor, spread) = channel.excess_of(row);
+        let mut own = own;
+        if own > SIGNIFICANT * spread.sqrt() {
+            own = (own - row.len() as f64 * of_integrators(scene, channel)).max(0.0);
+            worst[channel.axis] = worst[channel.axis].max(own / floor / CHANNEL_EXCESS);
+        }
+        if channel.kind == Kind::Position {
+            excess[channel.axis] += own;
+            noise[channel.axis] += floor;
+            variance[channel.axis] += spread;
+        }
+    }
+    (0..axes)
+        .map(|axis| {
+            let ratio = if noise[axis] > 0.0 { excess[axis] / noise[axis] } else { 0.0 };
+            let whole = ratio > AXIS_EXCESS && excess[axis] > SIGNIFICANT * variance[axis].sqrt();
+            AxisGapSize { ratio, counts: whole || worst[axis] > 1.0 }
+        })
+        .collect()
+}
+
+/// Variance by which integrators may differ on what a channel measured, noise variances.
+fn of_integrators(scene: &Scene, channel: &Channel) -> f64 {
+    let track = &scene.tracks[channel.track];
+    let (measured, of_step) = match channel.kind {
+        Kind::Position => (&track.position_um[channel.axis], SHARE_OF_STEP),
+        Kind::Monitor => (&track.monitor_v[channel.axis], 0.0),
+    };
+    let Some(measured) = measured else { return 0.0 };
+    let present = |i: &usize| track.present[*i];
+    let moved = channel.range.clone().filter(present).map(|i| f64::from(measured[i]));
+    let both = channel.range.clone().skip(1).filter(|i| present(i) && present(&(i - 1)));
+    let step = both.map(|i| f64::from(measured[i]) - f64::from(measured[i - 1]));
+    let share = |share: f64, deviation: f64| {
+        if deviation.is_finite() { (share * deviation / channel.sigma).powi(2) } else { 0.0 }
+    };
+    share(SHARE_OF_MOTION, moved.population_std_dev()) + share(of_step, step.population_std_dev())
+}
+
+/// Whether no axis has a gap beyond noise.
+pub fn is_clean(scene: &Scene, stack: &Stack) -> bool {
+    gaps(scene, stack).iter().all(|gap| !gap.counts)
+}
+
+/// Whether the difference between two stacks would count as a gap, on any axis or in any recording of one.
+pub fn counts(scene: &Scene, without: &Stack, with: &Stack) -> bool {
+    let mut axes = vec![(0.0, 0.0); scene.position_noise.len()];
+    for (c, channel) in scene.channels.iter().enumerate() {
+        let (Some(without), Some(with)) = (&without[c], &with[c]) else { continue };
+        let (own, floor, _) = channel.excess_of(without);
+        let saved = own - channel.excess(with);
+        if saved > CHANNEL_EXCESS * floor {
+            return true;
+        }
+        if channel.kind == Kind::Position {
+            let sum = &mut axes[channel.axis];
+            *sum = (sum.0 + saved, sum.1 + floor);
+        }
+    }
+    axes.iter().any(|(saved, floor)| *saved > AXIS_EXCESS * floor)
+}
+
+/// Bit mask of the axes where something may be missing: far looser than [`gaps`], since it only saves work. The noise is known to
+/// about half a per cent.
+pub fn loud_axes(scene: &Scene, stack: &Stack) -> u32 {
+    let axes = scene.position_noise.len();
+    let mut sums = vec![(0.0, 0.0, 0.0); axes];
+    let mut mask = 0;
+    for (c, channel) in scene.channels.iter().enumerate() {
+        let Some(row) = &stack[c] else { continue };
+        let (own, floor, spread) = channel.excess_of(row);
+        let own = own - row.len() as f64 * of_integrators(scene, channel);
+        let sum = &mut sums[channel.axis];
+        *sum = (sum.0 + own, sum.1 + floor, sum.2 + spread);
+        if own > (4.0 * spread.sqrt()).max(0.03 * floor) {
+            mask |= 1 << channel.axis;
+        }
+    }
+    for (axis, &(own, floor, spread)) in sums.iter().enumerate() {
+        if own > (3.0 * spread.sqrt()).max(0.01 * floor) {
+            mask |= 1 << axis;
+        }
+    }
+    mask
+}
+
+/// What is left of the gap of each axis, as a share, over the channels of `energies`.
+pub fn closed_by_axis(energies: &Energies, axes: usize) -> Vec<Option<f64>> {
+    let gaps = energies.gap(axes).per_axis;
+    let of_axis = |axis| gaps.iter().find(|gap: &&AxisGap| gap.axis == axis + 1);
+    (0..axes)
+        .map(|axis| of_axis(axis).filter(|gap| excess_ratio(gap) > 0.02).map(|gap| gap.closed))
+        .collect()
+}
+
+/// Gap energy of an axis in units of its noise.
+fn excess_ratio(gap: &AxisGap) -> f64 {
+    gap.energy_nm2() / gap.floor_nm.powi(2)
+}
+
+/// Whether causes may be named for each axis with a gap that `counts`: `has_laws(axis)` tells whether any cause there is one of many laws.
+pub(crate) fn trusted(
+    energies: &Energies,
+    gaps: &[AxisGapSize],
+    has_laws: impl Fn(usize) -> bool,
+) -> Vec<bool> {
+    let closed = closed_by_axis(energies, gaps.len());
+    let sizes = energies.gap(gaps.len()).per_axis;
+    let is_trusted = |axis: usize| {
+        let is_large = |gap: &AxisGap| gap.axis == axis + 1 && excess_ratio(gap) > TELLS_LAWS;
+        let is_strict = !has_laws(axis) && sizes.iter().any(is_large);
+        let wanted = if is_strict { PROXY_OF_ONE_LAW } else { PROXY };
+        !gaps[axis].counts || closed[axis].is_none_or(|closed| closed >= wanted)
+    };
+    (0..gaps.len()).map(is_trusted).collect()
+}
+
+/// Whether an effect may follow another law than the one that is fitted.
+pub(crate) fn has_many_laws(effect: &str) -> bool {
+    OF_MANY_LAWS.contains(&effect)
+}
+
+/// The verdict, from what is left.
+pub fn verdict(closed: f64, causes: usize, left: &[AxisGapSize]) -> Verdict {
+    if causes == 0 {
+        return Verdict::Unexplained;
+    }
+    let clean = left.iter().all(|g| !g.counts);
+    if clean || closed >= EXPLAINS { Verdict::Explained } else { Verdict::PartlyExplained }
+}
+
+/// Whether a share closed is an explanation.
+pub fn explains(closed: f64) -> bool {
+    closed >= EXPLAINS
+}
+
+/// Whether causes that close this share of an axis may be named for it.
+pub fn names(closed: f64) -> bool {
+    closed >= PROXY
+}

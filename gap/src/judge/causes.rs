@@ -1,0 +1,163 @@
+//! Causes as the answer states them: parameters with intervals, the share of the gap that each closes, and the staircase of the report.
+
+use host_sim::rig::Rig;
+
+use crate::Error;
+use crate::diagnosis::{Cause, CauseKind, Parameter};
+use crate::fitting::knobs::knobs_at;
+use crate::judge::ambiguity::place_words;
+use crate::search::found::{Apart, Found};
+use crate::session::energy::Energies;
+use crate::session::scene::{Channel, Scene, Stack};
+
+/// Causes, the energy that each claims on each axis (nm^2 times samples), and the gap (nm, held out) after each is added.
+pub(crate) type CauseList = (Vec<Cause>, Vec<Vec<f64>>, Vec<(String, f64)>);
+
+/// Causes with the energy that each closes, by axis, and the gap after each is added in turn, with every recording `replayed` by
+/// itself.
+pub(crate) fn causes_of(
+    rig: &Rig,
+    (scene, replayed): (&Scene, &Scene),
+    found: &Found,
+    raw_before: &Stack,
+    raw_after: &Stack,
+) -> Result<CauseList, Error> {
+    let axes = rig.axes.len();
+    let everything = |_: &Channel| true;
+    let model = &found.model;
+    let whole = &found.whole;
+    let before = Energies::new(scene, raw_before, raw_after, &everything);
+    let full = before.excess();
+    let mut causes = Vec::new();
+    let mut claimed = Vec::new();
+    let inflate = 4.0 + whole.fit.cost / scene.noise_on(&whole.fit.stack, u32::MAX).max(1.0) * 8.0;
+    let deviations = whole.fit.deviations(inflate);
+    let mut at = 0;
+    for (t, term) in model.terms.iter().enumerate() {
+        let reduced = model.without(rig, t, |_| true)?;
+        let raw = scene.raw(&reduced, everything)?;
+        let energies = Energies::new(scene, &raw, raw_after, &everything);
+        let per_axis = energies.gap(axes).per_axis;
+        let without = energies.excess().0;
+        let closed = if without > full.0 {
+            closed_between(scene, &found.apart[t], raw_after, full)?
+        } else {
+            without - full.1
+        };
+        claimed.push(
+            (0..axes)
+                .map(|axis| {
+                    per_axis.iter().find(|g| g.axis == axis + 1).map_or(0.0, |g| {
+                        let samples = samples_of_axis(scene, axis);
+                        (g.before_nm.powi(2) - g.after_nm.powi(2)) * samples
+                    })
+                })
+                .collect(),
+        );
+        let info = term.effect.info();
+        let width = info.parameters.len();
+        let mut parameters = std::collections::BTreeMap::new();
+        let agree = (0..width).all(|k| {
+            let values: Vec<f64> = (0..term.places.len()).map(|p| whole.values(t, p)[k]).collect();
+            let (low, high) = values
+                .iter()
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
+            high - low <= 0.1 * high.abs().max(low.abs())
+        });
+        for (k, p) in info.parameters.iter().enumerate() {
+            if whole.fit.knobs[at + k].is_frozen() {
+                continue;
+            }
+            if agree {
+                let n = term.places.len() as f64;
+                let value = (0..term.places.len()).map(|q| whole.values(t, q)[k]).sum::<f64>() / n;
+                let sd =
+                    (0..term.places.len()).map(|q| deviations[at + q * width + k]).sum::<f64>() / n;
+                parameters.insert(p.name.to_string(), parameter(value, sd, p.unit));
+            } else {
+                for (q, place) in term.places.iter().enumerate() {
+                    let name = match *place {
+                        host_sim::effects::Place::Axis(a) => format!("{}_{}", p.name, a + 1),
+                        host_sim::effects::Place::Pair { on, from } => {
+                            format!("{}_{}_{}", p.name, on + 1, from + 1)
+                        }
+                    };
+                    parameters.insert(
+                        name,
+                        parameter(whole.values(t, q)[k], deviations[at + q * width + k], p.unit),
+                    );
+                }
+            }
+        }
+        at += width * term.places.len();
+        causes.push(Cause {
+            effect: info.name.into(),
+            kind: match info.kind {
+                host_sim::effects::Kind::Parametric => CauseKind::Parametric,
+                host_sim::effects::Kind::Structural => CauseKind::Structural,
+            },
+            stage: info.stage.name().into(),
+            axes: term.axes().iter().map(|a| a + 1).collect(),
+            closes: if full.0 > 0.0 { (closed / full.0).clamp(0.0, 1.0) } else { 0.0 },
+            parameters,
+            confidence: found.standings.causes[t].confidence,
+            indistinguishable_from: found.standings.causes[t].rivals.clone(),
+        });
+    }
+    // Add the causes one after the other, the largest first.
+    let mut order: Vec<usize> = (0..causes.len()).collect();
+    order.sort_by(|&a, &b| causes[b].closes.total_cmp(&causes[a].closes));
+    let mut stairs = Vec::new();
+    let mut partial = rig.clone();
+    let held = |c: &Channel| c.held_out;
+    for &t in &order {
+        for (p, &place) in model.terms[t].places.iter().enumerate() {
+            for (knob, &value) in
+                knobs_at(model.terms[t].effect, place, &model.ranges).iter().zip(model.values(t, p))
+            {
+                knob.write(&mut partial, value)?;
+            }
+        }
+        let raw = replayed.raw(&partial, held)?;
+        let nm = Energies::new(replayed, raw_before, &raw, &held).gap(axes).after_nm;
+        let words: Vec<String> = model.terms[t].places.iter().map(|&p| place_words(p)).collect();
+        let place =
+            if words.len() > 3 { format!("{} places", words.len()) } else { words.join(", ") };
+        stairs.push((format!("{} ({place})", model.terms[t].name()), nm));
+    }
+    Ok((causes, claimed, stairs))
+}
+
+/// Energy that an effect closes where the others without it are worse than no model at all: they trim each other, and taking one out
+/// would credit it with what the other did. The mean of what it closes as the first cause and as the last one, the others fitted
+/// accordingly, which is all orders of two (Shapley 1953). `full`: energy of the gap, and what the whole model leaves of it.
+fn closed_between(
+    scene: &Scene,
+    apart: &Apart,
+    raw_after: &Stack,
+    full: (f64, f64),
+) -> Result<f64, Error> {
+    let (gap, rest) = full;
+    let everything = |_: &Channel| true;
+    let left = |rig: &Rig| -> Result<f64, Error> {
+        let raw = scene.raw(rig, everything)?;
+        let energy = Energies::new(scene, &raw, raw_after, &everything).excess().0;
+        Ok(energy.clamp(rest, gap.max(rest)))
+    };
+    let (first, last) = (gap - left(&apart.alone)?, left(&apart.without)? - rest);
+    Ok(0.5 * (first + last))
+}
+
+fn samples_of_axis(scene: &Scene, axis: usize) -> f64 {
+    scene
+        .channels
+        .iter()
+        .filter(|c| c.axis == axis && c.kind == crate::session::floor::Kind::Position)
+        .map(|c| c.range.len() as f64)
+        .sum()
+}
+
+fn parameter(value: f64, sd: f64, unit: &str) -> Parameter {
+    let sd = if sd.is_finite() { sd } else { value.abs() };
+    Parameter { value, ci95: [value - 1.96 * sd, value + 1.96 * sd], unit: unit.into() }
+}

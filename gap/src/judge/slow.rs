@@ -1,0 +1,97 @@
+//! Axes that move with each other's drive: a search in slow motion alone, when nothing accounts for the whole gap.
+//!
+//! A mechanism with resonances that nobody modelled hides what is plain below them: that an axis follows its neighbours.
+//! The fast bands are left out, step by step, until couplings between axes (with a delay or lag beside them) close what is left
+//! on held-out recordings. Only couplings are named this way: the neighbours' drives are independent evidence, which no unknown
+//! fault of an axis itself imitates.
+
+use host_sim::effects::Scope;
+use host_sim::rig::Rig;
+use indicatif::ProgressBar;
+
+use crate::Error;
+use crate::diagnosis::Band;
+use crate::fitting::guess::Ranges;
+use crate::fitting::knobs::EffectRef;
+use crate::judge::accept;
+use crate::judge::ambiguity;
+use crate::search::found::{Found, apart, refit};
+use crate::search::select::Search;
+use crate::session::floor::Kind;
+use crate::session::pyramid::{MOST_LEFT_OUT, low_pass, share_kept};
+use crate::session::scene::{Channel, Scene, Stack};
+
+/// Linear effects that may stand beside a coupling.
+const BESIDE: [&str; 4] =
+    ["drive-delay", "amplifier-bandwidth", "sensor-bandwidth", "viscoelasticity"];
+
+/// Couplings that account for slow motion, or `None`.
+pub(crate) fn cross_axis(
+    scene: &Scene,
+    rig: &Rig,
+    effects: &[EffectRef],
+    ranges: &Ranges,
+    bar: &ProgressBar,
+) -> Result<Option<Found>, Error> {
+    let couples = |e: &EffectRef| e.info().scope != Scope::Axis;
+    let few: Vec<EffectRef> =
+        effects.iter().copied().filter(|e| couples(e) || BESIDE.contains(&e.info().name)).collect();
+    let everything = |_: &Channel| true;
+    let raw = scene.raw(rig, everything)?;
+    for left_out in 1..=MOST_LEFT_OUT {
+        let mut slow = scene.clone();
+        slow.leave_out(left_out);
+        let fitted = |c: &Channel| !c.held_out;
+        let tick = || bar.inc(1);
+        let mut search = Search::new(&slow, rig, &few, ranges, &fitted, &tick)?;
+        let Some(model) = search.run()? else { continue };
+        if !model.terms.iter().any(|t| couples(&t.effect)) {
+            continue;
+        }
+        let after = scene.raw(&model.fit.rig, everything)?;
+        let band = band(scene, &raw, &after, left_out);
+        if band.before_nm < 2.0 * band.floor_nm || !accept::explains(band.closed()) {
+            continue;
+        }
+        let standings = ambiguity::standings(&search, &model);
+        let whole = refit(&slow, rig, &model)?;
+        let apart = apart(&search, &model)?;
+        return Ok(Some(Found {
+            model,
+            whole,
+            apart,
+            standings,
+            tried: Vec::new(),
+            missed: Vec::new(),
+            band: Some(band),
+        }));
+    }
+    Ok(None)
+}
+
+/// Gap of held-out positions in the bands that are left.
+pub(crate) fn band(scene: &Scene, before: &Stack, after: &Stack, left_out: usize) -> Band {
+    let mut sums = [0.0; 3];
+    let mut samples = 0.0;
+    let mut rate_hz: f64 = 0.0;
+    let share = share_kept(left_out);
+    for (c, channel) in scene.channels.iter().enumerate() {
+        let (Some(b), Some(a)) = (&before[c], &after[c]) else { continue };
+        if channel.kind != Kind::Position || !channel.held_out {
+            continue;
+        }
+        rate_hz = rate_hz.max(scene.tracks[channel.track].rate_hz);
+        let nm2 = (channel.sigma * 1.0e3).powi(2);
+        samples += channel.range.len() as f64;
+        for (sum, row) in sums.iter_mut().zip([b, a]) {
+            let slow = low_pass(row, share);
+            *sum += nm2 * slow.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>();
+        }
+        sums[2] += nm2
+            * (left_out..channel.levels.count())
+                .map(|l| channel.unrepeatable[l] * channel.levels.range(l).len() as f64)
+                .sum::<f64>();
+    }
+    let [before_nm, after_nm, floor_nm] = sums.map(|sum| (sum / f64::max(samples, 1.0)).sqrt());
+    Band { below_hz: 0.5 * rate_hz * share, before_nm, after_nm, floor_nm }
+}

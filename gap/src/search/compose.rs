@@ -1,0 +1,139 @@
+//! One axis, its own causes: what suits each axis best, put together.
+//!
+//! A model that is fitted to all axes has the same effects on all of them, and of two rigs that lack different things on different
+//! axes it tells half the truth twice. As long as nothing ties axes together, what a fitted model leaves on an axis does not depend on its
+//! places elsewhere, so that the best composition can be read off the models that were fitted. Models with effects between axes are left
+//! out; where the rig itself ties axes, the price is only a promise, and the fit decides.
+
+use host_sim::effects::Place;
+
+use crate::Error;
+use crate::fitting::fit::Effort;
+use crate::fitting::model::{Model, Term, join_terms};
+use crate::judge::ambiguity::NOISE_MARGIN;
+use crate::search::select::Search;
+
+/// What one model does on one axis.
+struct Part {
+    /// Number of the model among those that were tried; none for the rig as it is.
+    of: Option<usize>,
+    /// Its effects there, sorted.
+    names: Vec<&'static str>,
+    /// Cost that it leaves there, and what each of its effects has to be worth.
+    price: f64,
+}
+
+impl Search<'_> {
+    /// Fit the composition of exactly `size` effects that promises to leave least, if that is less than the best model of as many or fewer
+    /// leaves.
+    pub(crate) fn compose(&mut self, size: usize) -> Result<(), Error> {
+        let parts: Vec<Vec<Part>> =
+            (0..self.nominal.axes.len()).map(|axis| self.parts(axis, size)).collect();
+        let Some((price, picked)) = cheapest(&parts, size) else { return Ok(()) };
+        let price_of = |best: Model| {
+            let terms: usize = best.terms.iter().map(|t| t.places.len()).sum();
+            best.fit.cost + NOISE_MARGIN * terms as f64
+        };
+        let known = (1..=size).filter_map(|n| self.best_of(n)).map(price_of);
+        let known = known.fold(f64::INFINITY, f64::min);
+        if price >= known - NOISE_MARGIN {
+            return Ok(());
+        }
+        let mut terms: Vec<(Term, Vec<f64>)> = Vec::new();
+        for (axis, part) in picked.iter().enumerate() {
+            let Some(model) = part.of.map(|m| &self.tried[m]) else { continue };
+            join_terms(&mut terms, model.part(|_, here| here.places[0] == Place::Axis(axis)));
+        }
+        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = terms.into_iter().unzip();
+        let effort = Effort { iterations: 4, tolerance: 2.0e-2, ..self.effort() };
+        let model = self.fit_model(terms, start.concat(), effort)?;
+        self.remember(model);
+        Ok(())
+    }
+
+    /// Whether a model of these effects was fitted that has all of them on one axis at least: a composition of what suits different axes
+    /// says nothing of how they do beside each other.
+    pub(crate) fn is_tried(&self, key: &[&str]) -> bool {
+        let together = |m: &Model| {
+            let on = |axis: usize| m.terms.iter().all(|term| term.axes().contains(&axis));
+            (0..self.nominal.axes.len()).any(on)
+        };
+        self.tried.iter().any(|m| m.key() == key && together(m))
+    }
+
+    /// What models of at most `size` effects do on an axis, the best one of each set of effects.
+    fn parts(&self, axis: usize, size: usize) -> Vec<Part> {
+        let bare = self.scene.cost_on(&self.base, 1 << axis);
+        let mut parts = vec![Part { of: None, names: Vec::new(), price: bare }];
+        let is_on_axes = |model: &Model| {
+            let mut places = model.terms.iter().flat_map(|t| &t.places);
+            model.terms.len() <= size && places.all(|p| matches!(p, Place::Axis(_)))
+        };
+        for (of, model) in self.tried.iter().enumerate().filter(|(_, m)| is_on_axes(m)) {
+            let here = |t: &&Term| t.places.contains(&Place::Axis(axis));
+            let mut names: Vec<_> = model.terms.iter().filter(here).map(Term::name).collect();
+            names.sort_unstable();
+            let left = self.scene.cost_on(&model.fit.stack, 1 << axis);
+            let price = left + NOISE_MARGIN * names.len() as f64;
+            match parts.iter_mut().find(|part| part.names == names) {
+                Some(known) if known.price <= price => {}
+                Some(known) => *known = Part { of: Some(of), names, price },
+                None => parts.push(Part { of: Some(of), names, price }),
+            }
+        }
+        parts.sort_by(|a, b| a.price.total_cmp(&b.price));
+        parts
+    }
+}
+
+/// Of all choices of one part an axis, with `size` effects in all, the one with the lowest sum of prices.
+fn cheapest(parts: &[Vec<Part>], size: usize) -> Option<(f64, Vec<&Part>)> {
+    let mut best: Option<(f64, Vec<&Part>)> = None;
+    // Price, parts of the first axes, and their effects.
+    let mut open: Vec<(f64, Vec<&Part>, Vec<&str>)> = vec![(0.0, Vec::new(), Vec::new())];
+    while let Some((price, picked, names)) = open.pop() {
+        if best.as_ref().is_some_and(|(least, _)| price >= *least) {
+            continue;
+        }
+        if picked.len() == parts.len() {
+            if names.len() == size {
+                best = Some((price, picked));
+            }
+            continue;
+        }
+        // The cheapest one is looked at first.
+        for part in parts[picked.len()].iter().rev() {
+            let mut all = names.clone();
+            all.extend(part.names.iter().filter(|n| !names.contains(n)));
+            if all.len() <= size {
+                let longer = picked.iter().copied().chain([part]).collect();
+                open.push((price + part.price, longer, all));
+            }
+        }
+    }
+    best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn part(names: &[&'static str], price: f64) -> Part {
+        Part { of: None, names: names.to_vec(), price }
+    }
+
+    #[test]
+    fn different_effects_on_different_axes_are_put_together() {
+        let parts = [
+            vec![part(&["a"], 10.0), part(&["b"], 50.0), part(&[], 90.0)],
+            vec![part(&["b"], 20.0), part(&["a"], 70.0)],
+            vec![part(&["a", "b"], 5.0), part(&["a"], 6.0), part(&["c"], 1.0)],
+        ];
+        let (price, picked) = cheapest(&parts, 2).unwrap();
+        assert_eq!(price, 35.0);
+        assert_eq!(picked[1].names, ["b"]);
+        assert_eq!(cheapest(&parts, 3).unwrap().0, 31.0);
+        assert_eq!(cheapest(&parts, 1).unwrap().0, 86.0);
+        assert!(cheapest(&parts, 4).is_none());
+    }
+}

@@ -1,0 +1,68 @@
+//! Axes for their own sake: what suits one of them is little beside what the others lack.
+//!
+//! A screen ranks effects by what they promise on all axes together. Where axes lack different things, the effect that one of them needs
+//! may come behind a dozen that all the others like. So the likeliest effects of every axis are fitted there alone, and
+//! [`crate::search::compose`] puts together what suits each of them.
+
+use host_sim::effects::Place;
+
+use crate::Error;
+use crate::fitting::fit::Effort;
+use crate::fitting::knobs::EffectRef;
+use crate::fitting::model::Term;
+use crate::search::screen::Gain;
+use crate::search::select::{CLOSED, MOSTLY_OPEN, Search, WORTH_ABSOLUTE, WORTH_OF_FIRST};
+use crate::session::scene::Stack;
+
+/// Effects that are fitted on an axis for its own sake.
+const OF_EACH_AXIS: usize = 2;
+
+impl Search<'_> {
+    /// Cost of a stack on an axis beyond noise.
+    fn excess_on(&self, stack: &Stack, axis: usize) -> f64 {
+        self.scene.cost_on(stack, 1 << axis) - self.scene.noise_on(&self.base, 1 << axis)
+    }
+
+    /// Fit what promises most on each axis there alone, unless an effect was found that closes it.
+    pub(crate) fn of_each_axis(&mut self, gains: &[Vec<Gain>]) -> Result<(), Error> {
+        let loud: Vec<usize> =
+            (0..self.nominal.axes.len()).filter(|axis| self.loud >> axis & 1 == 1).collect();
+        if loud.len() < 2 {
+            return Ok(());
+        }
+        for axis in loud {
+            let place = Place::Axis(axis);
+            let open = CLOSED * self.excess_on(&self.base, axis);
+            if self.tried.iter().any(|m| self.excess_on(&m.fit.stack, axis) < open) {
+                continue;
+            }
+            let here = |(gains, &effect): (&Vec<Gain>, &EffectRef)| {
+                let gain = gains.iter().find(|gain| gain.place == place)?;
+                (gain.gain > WORTH_ABSOLUTE).then(|| (effect, gain.clone()))
+            };
+            let mut likely: Vec<(EffectRef, Gain)> =
+                gains.iter().zip(&self.screen.effects).filter_map(here).collect();
+            likely.sort_by(|a, b| b.1.gain.total_cmp(&a.1.gain));
+            likely.truncate(OF_EACH_AXIS);
+            likely.retain(|(effect, _)| !self.is_tried(&[effect.info().name]));
+            for (effect, gain) in likely {
+                let start = self.tuned((&[], &self.base), effect, &[place], vec![gain.start])?;
+                let term = Term { effect, places: vec![place] };
+                let effort = Effort { tolerance: 2.0e-2, ..self.effort() };
+                let model = self.fit_model(vec![term], start.concat(), effort)?;
+                self.remember(model);
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether every effect of the catalogue was fitted alone and none of them took a fair share off an axis. What one leaves there does not
+    /// depend on the other axes, so that a search of this axis alone would come to the same.
+    pub(crate) fn knows_nothing_of(&self, axis: usize) -> bool {
+        let gap = self.excess_on(&self.base, axis);
+        let is_enough = |cost: f64| cost - self.noise <= MOSTLY_OPEN * self.gap;
+        let does_little =
+            |stack: &Stack| self.excess_on(stack, axis) > (1.0 - WORTH_OF_FIRST) * gap;
+        self.tried.iter().all(|m| !is_enough(m.fit.cost) && does_little(&m.fit.stack))
+    }
+}

@@ -1,0 +1,61 @@
+//! As few effects as do.
+//!
+//! Which effects a search adds depends on those it began with. Three that began with a wrong one may leave no more than two right
+//! ones that were never tried: a stack of another gain with the loops that it ought not to have is a gauge of another gain. So of the best
+//! models of a size, which a swap has brought up, each effect is taken out and the rest fitted again.
+
+use crate::Error;
+use crate::fitting::fit::{Effort, cost};
+use crate::fitting::model::{Model, Term};
+use crate::judge::ambiguity::NOISE_MARGIN;
+use crate::search::select::{Search, WORTH_OF_GAP, WORTH_OF_LEFTOVER};
+use crate::session::scene::Wanted;
+
+/// What a model may leave beyond the best one of its size to be looked at, as a share of what that leaves.
+const AS_GOOD: f64 = 0.5;
+/// Share of the gap that an effect has to carry to be left alone.
+const MUCH: f64 = 0.5;
+/// Most models that are looked at.
+const MOST_LOOKED_AT: usize = 3;
+
+impl Search<'_> {
+    /// `model`, or one of fewer effects that leaves no more than what the last effect has to be worth.
+    pub(crate) fn fewer(&mut self, model: Model) -> Result<Model, Error> {
+        let size = model.terms.len();
+        if size < 2 {
+            return Ok(model);
+        }
+        let left = (model.fit.cost - self.noise).max(0.0);
+        let most = model.fit.cost + NOISE_MARGIN + AS_GOOD * left;
+        let as_good = |m: &&Model| m.terms.len() == size && m.fit.cost < most;
+        let rivals: Vec<Model> =
+            self.tried.iter().filter(as_good).take(MOST_LOOKED_AT).cloned().collect();
+        // What a smaller model may leave for the larger one not to be worth an effect more.
+        let open =
+            self.noise + (left / (1.0 - WORTH_OF_LEFTOVER)).max(left + WORTH_OF_GAP * self.gap);
+        for rival in rivals {
+            for t in 0..size {
+                let name = rival.terms[t].name();
+                let key: Vec<&str> = rival.key().into_iter().filter(|n| *n != name).collect();
+                if self.is_tried(&key) || self.carries_much(&rival, t)? {
+                    continue;
+                }
+                let (terms, start): (Vec<Term>, Vec<Vec<f64>>) =
+                    rival.part(|term, _| term.name() != name).into_iter().unzip();
+                let effort =
+                    Effort { iterations: 8, tolerance: 2.0e-2, hopeless: open, ..self.effort() };
+                let rest = self.fit_model(terms, start.concat(), effort)?;
+                self.remember(rest);
+            }
+        }
+        let Some(smaller) = self.best_of(size - 1) else { return Ok(model) };
+        if self.is_worth_more(&smaller, &model) { Ok(model) } else { self.fewer(smaller) }
+    }
+
+    /// Whether most of the gap comes back without a term, the others as they are: they will not make up for it.
+    fn carries_much(&self, model: &Model, term: usize) -> Result<bool, Error> {
+        let rig = model.without(self.nominal, term, |_| true)?;
+        let left = cost(&self.scene.residuals_at(&rig, Wanted::ALL, self.include)?);
+        Ok(left - self.noise > MUCH * self.gap)
+    }
+}

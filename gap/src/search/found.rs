@@ -1,0 +1,372 @@
+//! What a search found: chosen, checked on other recordings, searched again where it left axes open, and taken back where it does
+//! not account for enough.
+
+use std::collections::BTreeMap;
+
+use host_sim::effects::Place;
+use host_sim::rig::Rig;
+use indicatif::ProgressBar;
+
+use crate::Error;
+use crate::diagnosis::{AxisGap, Band};
+use crate::fitting::fit::{Effort, cost};
+use crate::fitting::guess::Ranges;
+use crate::fitting::knobs::{EffectRef, axes_seen, keep_laws};
+use crate::fitting::model::{Model, Term, join_terms, knobs_of, start_terms};
+use crate::judge::accept::{self, AxisGapSize};
+use crate::judge::ambiguity::{self, Standings};
+use crate::search::select::{Breadth, Search};
+use crate::session::energy::Energies;
+use crate::session::scene::{Channel, Scene, Stack, Wanted};
+
+/// A search that found something.
+pub(crate) struct Found {
+    /// Fitted on the fit recordings.
+    pub model: Model,
+    /// Fitted on everything.
+    pub whole: Model,
+    /// What each effect of `model` is worth.
+    pub apart: Vec<Apart>,
+    /// How each cause stands against others.
+    pub standings: Standings,
+    /// Names of what else was tried, and the share of the gap that it explains.
+    pub tried: Vec<(String, f64)>,
+    /// Held-out recordings with a gap that the model does not close although it should have.
+    pub missed: Vec<usize>,
+    /// The causes account for slow motion only.
+    pub band: Option<Band>,
+}
+
+/// Search the fitted recordings, beside what `before` found in others, and check the model on those that were not fitted.
+pub(crate) fn search(
+    (scene, rig): (&Scene, &Rig),
+    effects: &[EffectRef],
+    ranges: &Ranges,
+    bar: &ProgressBar,
+    gaps: &[AxisGapSize],
+    before: Option<&Found>,
+) -> Result<Option<Found>, Error> {
+    let fitted = |c: &Channel| !c.held_out;
+    let tick = || bar.inc(1);
+    let mut search = Search::new(scene, rig, effects, ranges, &fitted, &tick)?;
+    search.known = before.map_or_else(Vec::new, |before| start_terms(&before.model));
+    bar.set_message("fitting");
+    let whole = search.run()?;
+    let Some(model) = by_axis(&mut search, whole, effects, gaps)? else { return Ok(None) };
+    let model = stands_elsewhere(&search, model)?;
+    let gap = search.gap.max(1.0);
+    // The same effects on other axes, or from another start, are one entry: the best comes first.
+    let mut tried: Vec<(String, f64)> = Vec::new();
+    for m in &search.tried {
+        let name = m.key().join(" + ");
+        if tried.len() < 12 && tried.iter().all(|(known, _)| *known != name) {
+            tried.push((name, 1.0 - (m.fit.cost - search.noise) / gap));
+        }
+    }
+    let standings = ambiguity::standings(&search, &model);
+    bar.set_message("checking on the recordings held out");
+    let missed = missed(scene, rig, &model)?;
+    let whole = refit(scene, rig, &model)?;
+    let apart = apart(&search, &model)?;
+    Ok(Some(Found { model, whole, apart, standings, tried, missed, band: None }))
+}
+
+/// What the effects of a model are worth by themselves and beside the others.
+pub(crate) struct Apart {
+    /// The rig of the best model with this effect alone.
+    pub alone: Rig,
+    /// The rig of the best model without it.
+    pub without: Rig,
+}
+
+/// Each effect of a model by itself, and the model without it, fitted like that where the search did so. Simply taking it out would not
+/// tell what it is worth: one that only trims another would be credited with what the two do together.
+pub(crate) fn apart(search: &Search, model: &Model) -> Result<Vec<Apart>, Error> {
+    let best = |keep: &dyn Fn(usize) -> bool| -> Result<Rig, Error> {
+        let names = model.terms.iter().enumerate().filter(|(t, _)| keep(*t));
+        let mut key: Vec<&str> = names.map(|(_, term)| term.name()).collect();
+        key.sort_unstable();
+        // They are kept with the best first.
+        match search.tried.iter().find(|known| known.key() == key) {
+            Some(known) => Ok(known.fit.rig.clone()),
+            None => model.with(search.nominal, keep),
+        }
+    };
+    (0..model.terms.len())
+        .map(|t| {
+            Ok(Apart { alone: best(&|other| other == t)?, without: best(&|other| other != t)? })
+        })
+        .collect()
+}
+
+/// Take out effects that make the held-out recordings worse: they only mended the form of another one where it was fitted.
+fn stands_elsewhere(search: &Search, model: Model) -> Result<Model, Error> {
+    /// Rise of the held-out cost that is no accident, in noise variances.
+    const WORSE: f64 = 30.0;
+    let held = |c: &Channel| c.held_out;
+    let mut model = model;
+    while model.terms.len() > 1 {
+        let mut rigs = vec![model.fit.rig.clone()];
+        for t in 0..model.terms.len() {
+            rigs.push(model.without(search.nominal, t, |_| true)?);
+        }
+        let jobs: Vec<(&Rig, Wanted)> = rigs.iter().map(|r| (r, Wanted::ALL)).collect();
+        let costs: Vec<f64> = search.scene.residuals(&jobs, held)?.iter().map(cost).collect();
+        let worst = (0..model.terms.len()).min_by(|&a, &b| costs[a + 1].total_cmp(&costs[b + 1]));
+        let Some(t) = worst.filter(|&t| costs[t + 1] < costs[0] - WORSE) else { break };
+        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(&model)
+            .into_iter()
+            .enumerate()
+            .filter(|(k, _)| *k != t)
+            .map(|(_, term)| term)
+            .unzip();
+        model = search.fit_model(terms, start.concat(), search.effort())?;
+    }
+    Ok(model)
+}
+
+/// The rig file gets the parameters of a fit to everything, started from the honest one.
+pub(crate) fn refit(scene: &Scene, rig: &Rig, model: &Model) -> Result<Model, Error> {
+    let ranges = &model.ranges;
+    let all = |_: &Channel| true;
+    let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(model).into_iter().unzip();
+    let knobs = knobs_of(&terms, ranges);
+    let effort = Effort { iterations: 4, ..Effort::default() };
+    let fit = crate::fitting::fit::fit(scene, rig, knobs, start.concat(), effort, None, &all)?;
+    Ok(Model { terms, fit, ranges: ranges.clone() })
+}
+
+/// Share of the whole gap with which an axis decides every search.
+const DECIDES: f64 = 0.85;
+
+/// Axes that `model` leaves open are searched again, each by itself: what is loud and unknown on one axis must not hide what is
+/// quiet and known on another. Causes found that way join those of the other axes.
+fn by_axis(
+    search: &mut Search,
+    model: Option<Model>,
+    effects: &[EffectRef],
+    gaps: &[AxisGapSize],
+) -> Result<Option<Model>, Error> {
+    let axes = search.nominal.axes.len();
+    let (scene, rig) = (search.scene, search.nominal);
+    let everything = |_: &Channel| true;
+    let raw = scene.raw(rig, everything)?;
+    let closed = |rig: &Rig| -> Result<Vec<Option<f64>>, Error> {
+        let after = scene.raw(rig, everything)?;
+        Ok(accept::closed_by_axis(&Energies::new(scene, &raw, &after, &everything), axes))
+    };
+    let by_axis = closed(model.as_ref().map_or(rig, |m| &m.fit.rig))?;
+    // An axis that holds nearly all of the gap was searched by itself already.
+    let alone = |axis: usize| {
+        let own = scene.cost_on(&search.base, 1 << axis) - scene.noise_on(&search.base, 1 << axis);
+        own > DECIDES * search.gap
+    };
+    let open: Vec<usize> = (0..axes)
+        .filter(|&a| gaps[a].counts && by_axis[a].is_some_and(|c| !accept::names(c)))
+        .filter(|&a| !alone(a) && !search.knows_nothing_of(a))
+        .collect();
+    if open.is_empty() || gaps.iter().filter(|g| g.counts).count() < 2 {
+        return Ok(model);
+    }
+    // What the whole search found keeps the axes that it closes.
+    let closed_here = |term: &Term| term.axes().iter().all(|a| !open.contains(a));
+    let mut terms = model.as_ref().map_or_else(Vec::new, |m| m.part(|_, alone| closed_here(alone)));
+    let before = terms.len();
+    for &axis in &open {
+        let include = move |c: &Channel| !c.held_out && c.axis == axis;
+        let tick = || {};
+        let ranges = search.ranges.clone();
+        let mut alone = Search::new(scene, rig, effects, &ranges, &include, &tick)?;
+        alone.breadth = Breadth::BRIEF;
+        let here = |_: &Term, alone: &Term| alone.places[0] == Place::Axis(axis);
+        alone.known = model.as_ref().map_or_else(Vec::new, |m| m.part(here));
+        let Some(own) = alone.run()? else { continue };
+        if !closed(&own.fit.rig)?[axis].is_some_and(accept::names) {
+            continue;
+        }
+        search.ranges.any_loop |= own.ranges.any_loop;
+        join_terms(&mut terms, start_terms(&own));
+    }
+    if terms.len() == before && model.is_some() {
+        return Ok(model);
+    }
+    terms.truncate(crate::search::select::MOST_EFFECTS);
+    if terms.is_empty() {
+        return Ok(model);
+    }
+    let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = terms.into_iter().unzip();
+    let effort = search.effort();
+    Ok(Some(search.fit_model(terms, start.concat(), effort)?))
+}
+
+/// A gap in a held-out recording that is worth another look, in noise variances.
+const MISSED_GAP: f64 = 200.0;
+/// ... and as a share of the gap of all recordings held out.
+const MISSED_SHARE: f64 = 0.01;
+/// ... and of its energy with the weights undone: what is next to nothing in nanometres is not worth a second search.
+const MISSED_ENERGY: f64 = 0.002;
+
+/// Held-out recordings whose gap the model leaves open: worth a look with these recordings among the fitted ones.
+fn missed(scene: &Scene, rig: &Rig, model: &Model) -> Result<Vec<usize>, Error> {
+    let held = |c: &Channel| c.held_out;
+    let mut stacks = scene.residuals(&[(rig, Wanted::ALL), (&model.fit.rig, Wanted::ALL)], held)?;
+    let after = stacks.remove(1);
+    let before = stacks.remove(0);
+    let whole = cost(&before) - scene.noise_on(&before, u32::MAX);
+    let energy = scene.excess(&before);
+    let mut missed = Vec::new();
+    for track in 0..scene.tracks.len() {
+        let pick = |stack: &Stack| -> Stack {
+            stack
+                .iter()
+                .zip(&scene.channels)
+                .map(|(row, c)| if c.track == track { row.clone() } else { None })
+                .collect()
+        };
+        let (b, a) = (pick(&before), pick(&after));
+        let noise = scene.noise_on(&b, u32::MAX);
+        let (gap, left) = (cost(&b) - noise, cost(&a) - noise);
+        let is_open = gap > MISSED_GAP.max(MISSED_SHARE * whole) && left > 0.5 * gap;
+        if is_open && scene.excess(&a) > MISSED_ENERGY * energy {
+            missed.push(track);
+        }
+    }
+    Ok(missed)
+}
+
+/// Energy beyond noise of every channel, noise variances: of residuals whitened with the weights that the channels have now.
+pub(crate) fn excess(scene: &Scene, white: &Stack) -> Vec<f64> {
+    let rows = scene.channels.iter().zip(white);
+    rows.map(|(channel, row)| row.as_ref().map_or(0.0, |row| channel.excess(row))).collect()
+}
+
+/// Recordings with a gap of their own in the channels asked for, none of them next to nothing beside another, the one with the
+/// smallest gap first.
+pub(crate) fn with_gap(
+    scene: &Scene,
+    excess: &[f64],
+    include: impl Fn(&Channel) -> bool,
+) -> Vec<usize> {
+    let mut sizes: BTreeMap<usize, f64> = BTreeMap::new();
+    for (channel, &excess) in scene.channels.iter().zip(excess) {
+        if include(channel) && excess > 0.1 * channel.range.len() as f64 {
+            *sizes.entry(channel.track).or_default() += excess;
+        }
+    }
+    let largest = sizes.values().copied().fold(0.0, f64::max);
+    let mut tracks: Vec<(usize, f64)> =
+        sizes.into_iter().filter(|(_, size)| *size > 0.02 * largest).collect();
+    tracks.sort_by(|a, b| a.1.total_cmp(&b.1));
+    tracks.into_iter().map(|(track, _)| track).collect()
+}
+
+/// Share of the whole gap that causes have to close to be named at all: a tenth of a nanometre on one axis is no answer to sixty on
+/// another, and as likely the integrator's.
+const LEAST_OVERALL: f64 = 0.02;
+
+/// Take back causes on axes that stay mostly open: they are proxies of something that is not in the catalogue.
+pub(crate) fn abstain(
+    rig: &Rig,
+    scene: &Scene,
+    mut found: Found,
+    raw_before: &Stack,
+    gaps: &[AxisGapSize],
+    notes: &mut Vec<String>,
+) -> Result<Option<Found>, Error> {
+    let axes = rig.axes.len();
+    let everything = |_: &Channel| true;
+    let after = scene.raw(&found.model.fit.rig, everything)?;
+    let whole = Energies::new(scene, raw_before, &after, &everything);
+    let overall = whole.gap(axes).closed;
+    let has_laws = |axis: usize| {
+        let terms = &found.model.terms;
+        terms.iter().any(|t| accept::has_many_laws(t.name()) && reaches(rig, t, axis))
+    };
+    let trusted = accept::trusted(&whole, gaps, has_laws);
+    let abstained: Vec<String> =
+        (0..axes).filter(|&a| !trusted[a]).map(|a| (a + 1).to_string()).collect();
+    if !abstained.is_empty() {
+        notes.push(format!(
+            "On axis {} the best effects of the catalogue close too little to be named: something else is at work there.",
+            abstained.join(" and ")
+        ));
+    }
+    let loud: Vec<bool> = gaps.iter().map(|g| g.counts).collect();
+    let proxies = proxies(rig, &found.model, &trusted, &whole.gap(axes).per_axis);
+    if !proxies.is_empty() {
+        keep(rig, &mut found, |term, _| !proxies.contains(&term.name()))?;
+        notes.push(format!(
+            "{} would close the gap on some axes, but not on those where more of it lies, and is not named on any.",
+            proxies.join(" and ")
+        ));
+    }
+    restrict(rig, &mut found, &trusted, &loud)?;
+    Ok((!found.model.terms.is_empty() && overall >= LEAST_OVERALL).then_some(found))
+}
+
+/// Whether a term changes what is measured on an axis.
+fn reaches(rig: &Rig, term: &Term, axis: usize) -> bool {
+    let seen = |&place: &Place| axes_seen(rig, term.effect, place);
+    term.places.iter().any(|place| seen(place) >> axis & 1 == 1)
+}
+
+/// Effects whose axes that are not trusted hold more of the gap than those that are: what passes for something else here is not believed there.
+fn proxies(rig: &Rig, model: &Model, trusted: &[bool], gaps: &[AxisGap]) -> Vec<&'static str> {
+    let is_proxy = |term: &&Term| {
+        let mut energy = [0.0; 2];
+        for gap in gaps.iter().filter(|gap| reaches(rig, term, gap.axis - 1)) {
+            energy[usize::from(trusted[gap.axis - 1])] += gap.energy_nm2().max(0.0);
+        }
+        energy[0] > energy[1]
+    };
+    model.terms.iter().filter(is_proxy).map(Term::name).collect()
+}
+
+/// Keep only the places that act on trusted axes and reach an axis with a gap: what takes a little noise off a quiet axis is no cause.
+fn restrict(rig: &Rig, found: &mut Found, trusted: &[bool], loud: &[bool]) -> Result<(), Error> {
+    let keep = |_: &Term, alone: &Term| {
+        let axes = alone.axes();
+        axes.iter().all(|&a| trusted[a]) && axes.iter().any(|&a| loud[a])
+    };
+    self::keep(rig, found, keep)
+}
+
+/// Keep the places that `keep` lets through, given the term and itself there alone.
+pub(crate) fn keep(
+    rig: &Rig,
+    found: &mut Found,
+    keep: impl Fn(&Term, &Term) -> bool,
+) -> Result<(), Error> {
+    let mut places =
+        found.model.terms.iter().flat_map(|t| t.places.iter().map(move |&p| (t, t.at(p))));
+    if places.all(|(term, alone)| keep(term, &alone)) {
+        return Ok(());
+    }
+    let kept: Vec<bool> = found
+        .model
+        .terms
+        .iter()
+        .map(|term| term.places.iter().any(|&p| keep(term, &term.at(p))))
+        .collect();
+    for model in [&mut found.model, &mut found.whole] {
+        let (terms, values): (Vec<Term>, Vec<Vec<f64>>) = model.part(&keep).into_iter().unzip();
+        let values = values.concat();
+        let mut knobs = knobs_of(&terms, &model.ranges);
+        keep_laws(&mut knobs, &values);
+        model.fit.rig = crate::fitting::fit::rig_with(rig, &knobs, &values)?;
+        model.fit.at_bound = vec![false; knobs.len()];
+        model.fit.normal = nalgebra::DMatrix::identity(knobs.len(), knobs.len());
+        model.fit.knobs = knobs;
+        model.fit.values = values;
+        model.terms = terms;
+    }
+    keep_marked(&mut found.standings.causes, &kept);
+    keep_marked(&mut found.apart, &kept);
+    Ok(())
+}
+
+/// Keep those of `items` that are marked, one mark each.
+fn keep_marked<T>(items: &mut Vec<T>, marks: &[bool]) {
+    let mut marks = marks.iter();
+    items.retain(|_| marks.next().is_some_and(|mark| *mark));
+}

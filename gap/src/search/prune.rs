@@ -1,0 +1,117 @@
+//! What a fitted model does not need: effects and places that save too little to be named.
+
+use host_sim::effects::Place;
+use host_sim::rig::Rig;
+
+use crate::Error;
+use crate::fitting::fit::Effort;
+use crate::fitting::knobs::axes_seen;
+use crate::fitting::model::{Model, Term};
+use crate::search::select::{Search, WORTH_ABSOLUTE, WORTH_OF_GAP};
+use crate::session::scene::{Wanted, dot};
+
+/// A place of an effect must be worth this much cost to stay.
+pub(crate) const WORTH_OF_PLACE: f64 = 40.0;
+/// ... and this share of what is left on its axis. Less is what the form of another effect there leaves.
+const WORTH_OF_LEFT: f64 = 0.1;
+
+impl Search<'_> {
+    /// Take out terms and places that the model does not need, and fit the rest again.
+    pub fn prune(&self, model: Model) -> Result<Model, Error> {
+        let mut model = model;
+        loop {
+            let worth = self.worth(&model)?;
+            let noticed = self.noticed(&model)?;
+            let mut kept_terms = Vec::new();
+            let mut start = Vec::new();
+            let mut dropped = false;
+            for (t, term) in model.terms.iter().enumerate() {
+                let total: f64 = worth[t].iter().sum();
+                let top = worth[t].iter().copied().fold(0.0, f64::max);
+                let mut places = Vec::new();
+                for (p, &place) in term.places.iter().enumerate() {
+                    let left =
+                        if term.places.len() > 1 { self.left_at(&model, t, place) } else { 0.0 };
+                    let needed =
+                        worth[t][p] > WORTH_OF_PLACE.max(0.004 * top).max(WORTH_OF_LEFT * left);
+                    let term_needed =
+                        noticed[t] && total > WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap);
+                    if needed && term_needed {
+                        places.push(place);
+                        start.extend_from_slice(model.values(t, p));
+                    } else {
+                        dropped = true;
+                    }
+                }
+                if !places.is_empty() {
+                    kept_terms.push(Term { effect: term.effect, places });
+                }
+            }
+            if !dropped || kept_terms.is_empty() {
+                return Ok(model);
+            }
+            model = self.fit_model(kept_terms, start, Effort { iterations: 4, ..self.effort() })?;
+        }
+    }
+
+    /// Cost beyond noise that a model leaves on the axes where one of its terms acts at a place.
+    fn left_at(&self, model: &Model, term: usize, place: Place) -> f64 {
+        let axes = axes_seen(self.nominal, model.terms[term].effect, place);
+        let stack = &model.fit.stack;
+        self.scene.cost_on(stack, axes) - self.scene.noise_on(stack, axes)
+    }
+
+    /// Whether each effect takes off what by itself would count as a gap. With long recordings far less is significant: what another
+    /// one's form leaves, which is no cause.
+    fn noticed(&self, model: &Model) -> Result<Vec<bool>, Error> {
+        if model.terms.len() < 2 {
+            return Ok(vec![true; model.terms.len()]);
+        }
+        let rigs = (0..model.terms.len())
+            .map(|t| model.without(self.nominal, t, |_| true))
+            .collect::<Result<Vec<_>, _>>()?;
+        let jobs: Vec<(&Rig, Wanted)> = rigs.iter().map(|rig| (rig, Wanted::ALL)).collect();
+        let stacks = self.scene.residuals(&jobs, self.include)?;
+        let counts = |without| crate::judge::accept::counts(self.scene, without, &model.fit.stack);
+        Ok(stacks.iter().map(counts).collect())
+    }
+
+    /// Rise of the cost when each place of each term is taken out, the rest left as it is.
+    pub fn worth(&self, model: &Model) -> Result<Vec<Vec<f64>>, Error> {
+        let mut worth = Vec::new();
+        for (t, term) in model.terms.iter().enumerate() {
+            let mut row = vec![0.0; term.places.len()];
+            // Places that reach different channels share a simulation.
+            let mut groups: Vec<(Vec<usize>, u32)> = Vec::new();
+            for (p, &place) in term.places.iter().enumerate() {
+                let axes = axes_seen(self.nominal, term.effect, place);
+                match groups.iter_mut().find(|(_, mask)| *mask & axes == 0) {
+                    Some((members, mask)) => {
+                        members.push(p);
+                        *mask |= axes;
+                    }
+                    None => groups.push((vec![p], axes)),
+                }
+            }
+            for (members, axes) in groups {
+                let dropped: Vec<Place> = members.iter().map(|&p| term.places[p]).collect();
+                let rig = model.without(self.nominal, t, |place| dropped.contains(&place))?;
+                let wanted = Wanted { axes, monitors: true };
+                let stack = self.scene.residuals_at(&rig, wanted, self.include)?;
+                for &p in &members {
+                    let mask = axes_seen(self.nominal, term.effect, term.places[p]);
+                    for (c, channel) in self.scene.channels.iter().enumerate() {
+                        if mask >> channel.axis & 1 == 0 {
+                            continue;
+                        }
+                        if let (Some(out), Some(with)) = (&stack[c], &model.fit.stack[c]) {
+                            row[p] += dot(out, out) - dot(with, with);
+                        }
+                    }
+                }
+            }
+            worth.push(row);
+        }
+        Ok(worth)
+    }
+}

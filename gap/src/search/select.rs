@@ -1,0 +1,444 @@
+//! Which effects: forward selection over fitted models, with a beam, swaps and backward elimination, up to three effects.
+//!
+//! Costs are whitened (see [`crate::session::scene`]), so that one unit is one noise variance or one tolerated misfit. A further effect must
+//! remove a fair share of what the better explained model leaves, not merely more than noise would: with 10^5 samples everything
+//! is significant, and an effect whose form differs a little from the rig's leaves something that a second effect could always nibble at.
+
+use host_sim::effects::Place;
+use host_sim::rig::Rig;
+
+use crate::Error;
+use crate::fitting::fit::{Effort, cost, fit};
+use crate::fitting::guess::Ranges;
+use crate::fitting::knobs::EffectRef;
+use crate::fitting::model::{Model, Term, knobs_of, start_terms};
+use crate::search::few::{Few, Line};
+use crate::search::screen::{Gain, Screen, screen};
+use crate::session::scene::{Channel, Scene, Stack, Wanted};
+
+/// How many of the promising models a search fits.
+#[derive(Debug, Clone, Copy)]
+pub struct Breadth {
+    /// Singles that are fitted after the screen.
+    shortlist: usize,
+    /// Models that the search for a further effect starts from.
+    pub(crate) beam: usize,
+    /// Partners that are fitted for each of them.
+    pub(crate) partners: usize,
+    /// Effects that are tried in the place of each one of the model chosen.
+    pub(crate) swaps: usize,
+    /// ... and how many of a single parameter beside them.
+    pub(crate) plain: usize,
+}
+
+impl Breadth {
+    /// For the session as a whole.
+    pub const FULL: Self = Self { shortlist: 7, beam: 3, partners: 3, swaps: 3, plain: 2 };
+    /// For what a full search has left open.
+    pub const BRIEF: Self = Self { shortlist: 5, beam: 2, partners: 2, swaps: 1, plain: 1 };
+}
+
+/// Most effects in a model.
+pub const MOST_EFFECTS: usize = 3;
+/// A further effect must remove this share of what the model before it leaves.
+pub(crate) const WORTH_OF_LEFTOVER: f64 = 0.35;
+/// ... and this share of the whole gap (whitened).
+pub(crate) const WORTH_OF_GAP: f64 = 0.01;
+/// ... or nearly all of what is left, if it is less than that.
+const NEARLY_ALL: f64 = 0.7;
+/// ... or this share of what is left on an axis,
+const CLOSES_AXIS: f64 = 0.9;
+/// where that is more than this multiple of the noise energy.
+const CLEARLY: f64 = 1.0;
+/// ... and this much cost in all, against noise.
+pub(crate) const WORTH_ABSOLUTE: f64 = 60.0;
+/// The first effect must remove this share of the gap: three of less never make an explanation.
+pub(crate) const WORTH_OF_FIRST: f64 = 0.05;
+/// Share of the gap that the effects which a screen promised leave at most, or the others are fitted as well.
+pub(crate) const MOSTLY_OPEN: f64 = 0.5;
+/// Share of the gap below which no better start is looked for.
+pub(crate) const CLOSED: f64 = 0.002;
+/// Share of the gap that a single effect may leave for its fit to go on.
+const FAIR: f64 = 0.3;
+/// ... beside one that closes all of it.
+const RIVAL: f64 = 0.03;
+
+/// The search: scene, nominal rig, screen of the catalogue and what the whole gap costs.
+pub struct Search<'a> {
+    /// Session.
+    pub scene: &'a Scene,
+    /// Rig as it was given.
+    pub nominal: &'a Rig,
+    /// Whitened nominal residuals of the fitted channels.
+    pub base: Stack,
+    /// Directions of the catalogue.
+    pub screen: Screen,
+    /// Cost of the nominal model beyond noise.
+    pub gap: f64,
+    /// Cost that noise alone leaves.
+    pub noise: f64,
+    /// Every model that was fitted, best first.
+    pub tried: Vec<Model>,
+    /// What the session offers.
+    pub ranges: Ranges,
+    /// How much to try.
+    pub breadth: Breadth,
+    /// Terms with their values that another look at this session came to.
+    pub(crate) known: Vec<(Term, Vec<f64>)>,
+    /// Bit mask of the axes where something is missing.
+    pub(crate) loud: u32,
+    /// Recordings that tell most models from the right one.
+    pub(crate) few: Option<Few>,
+    pub(crate) include: &'a (dyn Fn(&Channel) -> bool + Sync),
+    tick: &'a (dyn Fn() + Sync),
+}
+
+impl<'a> Search<'a> {
+    /// Screen `effects` on the channels that `include` lets through.
+    pub fn new(
+        scene: &'a Scene,
+        nominal: &'a Rig,
+        effects: &[EffectRef],
+        ranges: &Ranges,
+        include: &'a (dyn Fn(&Channel) -> bool + Sync),
+        tick: &'a (dyn Fn() + Sync),
+    ) -> Result<Self, Error> {
+        let base = scene.residuals_at(nominal, Wanted::ALL, include)?;
+        let noise = scene.noise_on(&base, u32::MAX);
+        let gap = cost(&base) - noise;
+        let loud = crate::judge::accept::loud_axes(scene, &base);
+        let few = Few::new(scene, &base, loud);
+        let screen = screen(scene, nominal, (&base, loud), effects, ranges, include, tick)?;
+        Ok(Self {
+            scene,
+            nominal,
+            base,
+            screen,
+            gap,
+            noise,
+            tried: Vec::new(),
+            ranges: ranges.clone(),
+            breadth: Breadth::FULL,
+            known: Vec::new(),
+            loud,
+            few,
+            include,
+            tick,
+        })
+    }
+
+    /// Find the model. `None` when no single effect is worth anything.
+    pub fn run(&mut self) -> Result<Option<Model>, Error> {
+        let nominal_gains = self.screen.test(self.scene, &self.base, None);
+        let singles = self.shortlist(&nominal_gains, &[], usize::MAX);
+        for (nth, (effect, gains)) in singles.into_iter().enumerate() {
+            // A screen is a straight line, and some effects are not. Where none that it promised accounts for most of the gap, all others
+            // get a chance.
+            let is_closed = |best: &Model| best.fit.cost - self.noise <= MOSTLY_OPEN * self.gap;
+            if nth >= self.breadth.shortlist && self.tried.first().is_some_and(is_closed) {
+                break;
+            }
+            let model = self.fit_terms((&[], &self.base), effect, &gains)?;
+            self.remember(model);
+        }
+        self.of_each_axis(&nominal_gains)?;
+        for size in 2..=MOST_EFFECTS {
+            self.compose(size)?;
+        }
+        self.go_on_from_known()?;
+        let plain = self.select()?;
+        self.with_any_loop(plain)
+    }
+
+    /// Fit what another look came to: a resonance that it found and this one missed is not lost, and what this one shows can be added.
+    fn go_on_from_known(&mut self) -> Result<(), Error> {
+        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) =
+            std::mem::take(&mut self.known).into_iter().unzip();
+        if !terms.is_empty() {
+            let model = self.fit_model(terms, start.concat(), self.effort())?;
+            self.remember(model);
+        }
+        Ok(())
+    }
+
+    /// The best model of those that were fitted and of what can be added to them.
+    pub(crate) fn select(&mut self) -> Result<Option<Model>, Error> {
+        let mut best: Option<Model> = None;
+        for size in 1..=MOST_EFFECTS {
+            if size > 1 {
+                self.compose(size)?;
+            }
+            let Some(candidate) = self.best_of(size) else { break };
+            let is_worth_it = match &best {
+                None => {
+                    let saved = self.gap - (candidate.fit.cost - self.noise);
+                    saved > WORTH_ABSOLUTE.max(WORTH_OF_FIRST * self.gap)
+                }
+                Some(best) => self.is_worth_more(best, &candidate),
+            };
+            if !is_worth_it {
+                break;
+            }
+            let left = candidate.fit.cost - self.noise;
+            let is_closed = crate::judge::accept::is_clean(self.scene, &candidate.fit.stack);
+            best = Some(candidate);
+            if size == MOST_EFFECTS
+                || is_closed
+                || left < WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap)
+            {
+                break;
+            }
+            // What suits different axes may account for everything already.
+            let is_done = |m: Model| crate::judge::accept::is_clean(self.scene, &m.fit.stack);
+            if self.best_of(size + 1).is_some_and(is_done) {
+                continue;
+            }
+            self.widen(size)?;
+        }
+        match best {
+            Some(model) => {
+                let model = self.swap(model)?;
+                let known = model.key();
+                let mut model = self.trade(model)?;
+                if model.key() != known {
+                    model = self.swap(model)?;
+                }
+                let model = self.fewer(model)?;
+                let pruned = self.prune(model)?;
+                let (terms, start): (Vec<Term>, Vec<Vec<f64>>) =
+                    start_terms(&pruned).into_iter().unzip();
+                let effort = Effort { iterations: 6, tolerance: 3.0e-3, ..self.effort() };
+                Ok(Some(self.fit_model(terms, start.concat(), effort)?))
+            }
+            None => Ok(None),
+        }
+    }
+
+    /// Whether a model of one more effect is worth it. One that has each effect on fewer axes may even be the plainer one.
+    pub(crate) fn is_worth_more(&self, smaller: &Model, larger: &Model) -> bool {
+        let saved = smaller.fit.cost - larger.fit.cost;
+        saved > self.worth_of_further(smaller.fit.cost - self.noise)
+            || self.closes_much(smaller, larger, saved)
+            || self.closes_an_axis(smaller, larger, saved)
+            || (larger.numbers() <= smaller.numbers()
+                && saved > self.worth_of_change(smaller.fit.cost - self.noise))
+    }
+
+    /// Whether a model takes nearly everything off what a smaller one leaves on one axis, more than its noise. Beside a large effect on all
+    /// axes that is little.
+    fn closes_an_axis(&self, smaller: &Model, larger: &Model, saved: f64) -> bool {
+        let [before, after] =
+            [smaller, larger].map(|m| crate::judge::accept::gaps(self.scene, &m.fit.stack));
+        // What an effect of another law leaves is its own.
+        let is_of_one_law = |axis: usize| {
+            let mut here = smaller.terms.iter().filter(|term| term.axes().contains(&axis));
+            here.all(|term| !crate::judge::accept::has_many_laws(term.name()))
+        };
+        saved > WORTH_ABSOLUTE
+            && before.iter().zip(&after).enumerate().any(|(axis, (before, after))| {
+                before.ratio > CLEARLY
+                    && after.ratio < (1.0 - CLOSES_AXIS) * before.ratio
+                    && is_of_one_law(axis)
+            })
+    }
+
+    /// Cost that one more effect must remove where `leftover` is left.
+    pub(crate) fn worth_of_further(&self, leftover: f64) -> f64 {
+        let fair = (WORTH_OF_LEFTOVER * leftover).max(WORTH_OF_GAP * self.gap);
+        // A small effect beside a large one: it must account for nearly all that the large one leaves.
+        let rest = (NEARLY_ALL * leftover).max(0.1 * WORTH_OF_GAP * self.gap);
+        WORTH_ABSOLUTE.max(fair.min(rest))
+    }
+
+    /// Whether a model takes as much off what a smaller one leaves in nanometres as is asked for in cost. A constant is many nanometres
+    /// and little cost: there is one number of it in a recording, and thousands of the noise that all models leave.
+    fn closes_much(&self, smaller: &Model, larger: &Model, saved: f64) -> bool {
+        let left = |stack| self.scene.excess(stack);
+        let (whole, before) = (left(&self.base), left(&smaller.fit.stack));
+        let closed = before - left(&larger.fit.stack);
+        saved > WORTH_ABSOLUTE
+            && closed > WORTH_OF_LEFTOVER * before
+            && closed > WORTH_OF_GAP * whole
+    }
+
+    /// Whether a model that leaves `there` of some recordings may do so even if it leaves nothing of the others.
+    pub(crate) fn may_close_much(&self, smaller: &Model, there: &Stack) -> bool {
+        let before = self.scene.excess(&smaller.fit.stack);
+        before - self.scene.excess(there) > WORTH_OF_LEFTOVER * before
+    }
+
+    /// Cost that another effect must remove in place of one, where `leftover` is left.
+    pub(crate) fn worth_of_change(&self, leftover: f64) -> f64 {
+        WORTH_ABSOLUTE.max(WORTH_OF_LEFTOVER * leftover).max(0.1 * WORTH_OF_GAP * self.gap)
+    }
+
+    /// Best effects by predicted gain, with the places that are worth fitting.
+    pub(crate) fn shortlist(
+        &self,
+        gains: &[Vec<Gain>],
+        taken: &[&str],
+        most: usize,
+    ) -> Vec<(EffectRef, Vec<Gain>)> {
+        let mut ranked: Vec<(f64, EffectRef, Vec<Gain>)> = gains
+            .iter()
+            .zip(&self.screen.effects)
+            .filter(|(_, effect)| !taken.contains(&effect.info().name))
+            .filter_map(|(gains, &effect)| {
+                let top = gains.iter().map(|g| g.gain).fold(0.0, f64::max);
+                let kept: Vec<Gain> = gains
+                    .iter()
+                    .filter(|g| {
+                        g.gain > (0.5 * crate::search::prune::WORTH_OF_PLACE).max(1.0e-4 * top)
+                    })
+                    .cloned()
+                    .collect();
+                let total: f64 = kept.iter().map(|g| g.gain).sum();
+                (total > WORTH_ABSOLUTE).then_some((total, effect, kept))
+            })
+            .collect();
+        ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+        ranked.truncate(most);
+        ranked.into_iter().map(|(_, effect, gains)| (effect, gains)).collect()
+    }
+
+    /// Fit `effect` at the places of `gains`, jointly with `known` terms that start at their values and leave `left` without it.
+    pub fn fit_terms(
+        &self,
+        (known, left): (&[(Term, Vec<f64>)], &Stack),
+        effect: EffectRef,
+        gains: &[Gain],
+    ) -> Result<Model, Error> {
+        let mut terms: Vec<Term> = known.iter().map(|(t, _)| t.clone()).collect();
+        let mut places: Vec<Place> = gains.iter().map(|g| g.place).collect();
+        let starts = gains.iter().map(|g| g.start.clone()).collect();
+        // Where another effect accounts for nearly all, no frequency that a screen missed will do better.
+        let closed = |m: &Model| m.fit.cost - self.noise < CLOSED * self.gap;
+        let starts = if known.is_empty() && self.tried.first().is_some_and(closed) {
+            starts
+        } else {
+            self.tuned((known, left), effect, &places, starts)?
+        };
+        let mut start = self.joint_start(known, effect, gains, &starts)?;
+        // An axis where no setting of the screen came near enough to gain anything starts from what suits the others best;
+        // pruning takes it out again if it needs none.
+        if let Some(best) = gains.iter().max_by(|a, b| a.gain.total_cmp(&b.gain))
+            && effect.info().threshold
+        {
+            for axis in (0..self.nominal.axes.len()).filter(|a| self.loud >> a & 1 == 1) {
+                if matches!(best.place, Place::Axis(_)) && !places.contains(&Place::Axis(axis)) {
+                    places.push(Place::Axis(axis));
+                    start.extend_from_slice(&best.start);
+                }
+            }
+        }
+        terms.push(Term { effect, places });
+        let best = self.tried.first().map_or(f64::INFINITY, |m| m.fit.cost);
+        // With a good model at hand, one that is still far behind after two iterations is not worth more of them.
+        let hopeless = if known.is_empty() {
+            // Beside one that closes everything only what comes near to that is of interest: what else it could be.
+            let open = if best - self.noise < CLOSED * self.gap { RIVAL } else { FAIR };
+            self.noise + (3.0 * (best - self.noise)).max(open * self.gap)
+        } else {
+            best.max(self.noise + 0.02 * self.gap) + 0.05 * (best - self.noise).max(0.0)
+        };
+        let effort = Effort { iterations: 8, tolerance: 2.0e-2, hopeless, ..self.effort() };
+        let line = if known.is_empty() { Line::ALONE } else { Line::BESIDE };
+        if let Some(values) = self.hopeless_on_few(&terms, &start, effort, line)? {
+            return self.fit_model(terms, values, Effort { iterations: 0, ..effort });
+        }
+        let model = self.fit_model(terms, start, effort)?;
+        let model = self.other_variety(model, effort)?;
+        self.even_out(model, effort)
+    }
+
+    /// Axes may have run into different local minima: start all of them from the values of each other, and keep what is better.
+    fn even_out(&self, model: Model, effort: Effort) -> Result<Model, Error> {
+        let saves = cost(&self.base) - model.fit.cost;
+        let left = model.fit.cost - self.noise;
+        if model.fit.cost > effort.hopeless
+            || saves < WORTH_OF_FIRST * self.gap
+            || left < CLOSED * self.gap
+        {
+            return Ok(model);
+        }
+        let last = model.terms.len() - 1;
+        let term = &model.terms[last];
+        if term.places.len() < 2 || !term.places.iter().all(|p| matches!(p, Place::Axis(_))) {
+            return Ok(model);
+        }
+        let uneven = (0..term.effect.info().parameters.len()).any(|k| {
+            let values: Vec<f64> =
+                (0..term.places.len()).map(|p| model.values(last, p)[k]).collect();
+            let (low, high) = values
+                .iter()
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
+            high - low > 0.25 * high.abs().max(low.abs())
+        });
+        if !uneven {
+            return Ok(model);
+        }
+        let left = |stack: &Stack, axis: usize| self.scene.cost_on(stack, 1 << axis);
+        let axis_of = |p: &Place| match *p {
+            Place::Axis(a) => a,
+            Place::Pair { on, .. } => on,
+        };
+        // The axis that lost the largest share of its cost leads.
+        let gained: Vec<f64> = term
+            .places
+            .iter()
+            .map(|p| {
+                1.0 - left(&model.fit.stack, axis_of(p)) / left(&self.base, axis_of(p)).max(1.0)
+            })
+            .collect();
+        let leader =
+            (0..gained.len()).max_by(|&a, &b| gained[a].total_cmp(&gained[b])).unwrap_or(0);
+        let mut start = model.fit.values.clone();
+        let range = model.knob_range(last);
+        let width = range.len() / term.places.len();
+        let lead = model.values(last, leader).to_vec();
+        for p in 0..term.places.len() {
+            start[range.start + p * width..range.start + (p + 1) * width].copy_from_slice(&lead);
+        }
+        let hopeless = model.fit.cost;
+        let other = self.fit_model(
+            model.terms.clone(),
+            start,
+            Effort { iterations: 4, hopeless, ..effort },
+        )?;
+        Ok(if other.fit.cost < model.fit.cost { other } else { model })
+    }
+
+    /// How to fit on this session.
+    pub fn effort(&self) -> Effort {
+        Effort { tolerance: 1.0e-2, floor: self.noise, ..Effort::default() }
+    }
+
+    /// Fit given terms from given values.
+    pub fn fit_model(
+        &self,
+        terms: Vec<Term>,
+        start: Vec<f64>,
+        effort: Effort,
+    ) -> Result<Model, Error> {
+        let knobs = knobs_of(&terms, &self.ranges);
+        let fit =
+            fit(self.scene, self.nominal, knobs, start, effort, Some(&self.base), self.include)?;
+        (self.tick)();
+        Ok(Model { terms, fit, ranges: self.ranges.clone() })
+    }
+
+    /// Keep a fitted model for what follows, and as a rival.
+    pub(crate) fn remember(&mut self, model: Model) {
+        self.tried.push(model);
+        self.tried.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+    }
+
+    /// Best model with exactly `size` effects.
+    pub fn best_of(&self, size: usize) -> Option<Model> {
+        self.tried
+            .iter()
+            .filter(|m| m.terms.len() == size)
+            .min_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost))
+            .cloned()
+    }
+}

@@ -1,0 +1,73 @@
+//! Others in the place of each effect, and the plainest of those that do as well.
+
+use crate::Error;
+use crate::fitting::fit::{Sensitivities, cost};
+use crate::fitting::knobs::is_plain;
+use crate::fitting::model::{Model, Term, knobs_of, start_terms};
+use crate::judge::ambiguity::NOISE_MARGIN;
+use crate::search::select::Search;
+use crate::search::widen::PROMISE;
+use crate::session::scene::Wanted;
+
+/// A plainer model may leave this much more than the best one, of what that leaves, or of what it saves.
+const AS_LITTLE: f64 = 0.1;
+
+impl Search<'_> {
+    /// Try others in the place of each effect of a model of several. An effect that was fitted alone, or beside a wrong one, made
+    /// up for what it lacked: what suits best beside it may only show once it has found its own size.
+    pub(crate) fn swap(&mut self, model: Model) -> Result<Model, Error> {
+        let size = model.terms.len();
+        if size < 2 {
+            return Ok(self.plainest(model));
+        }
+        let names = model.key();
+        for t in 0..size {
+            let mut others = start_terms(&model);
+            others.remove(t);
+            let (terms, values): (Vec<Term>, Vec<Vec<f64>>) = others.iter().cloned().unzip();
+            let rig = model.without(self.nominal, t, |_| true)?;
+            let stack = self.scene.residuals_at(&rig, Wanted::ALL, self.include)?;
+            let sensitivities = Sensitivities::at(
+                self.scene,
+                self.nominal,
+                &knobs_of(&terms, &self.ranges),
+                &values.concat(),
+                &stack,
+                self.include,
+            )?;
+            let gains = self.screen.test(self.scene, &stack, Some(&sensitivities));
+            let needed = cost(&stack) - model.fit.cost;
+            let mut offers = self.shortlist(&gains, &names, usize::MAX);
+            let plain = offers.split_off(offers.len().min(self.breadth.swaps)).into_iter();
+            // An effect of many forms promises more than the plain one whose form it takes on here.
+            let plain = plain.filter(|(effect, _)| is_plain(*effect));
+            offers.extend(plain.take(self.breadth.plain));
+            for (effect, gains) in offers {
+                if gains.iter().map(|g| g.gain).sum::<f64>() < PROMISE * needed {
+                    continue;
+                }
+                let mut key: Vec<&str> = terms.iter().map(Term::name).collect();
+                key.push(effect.info().name);
+                key.sort_unstable();
+                if !self.is_tried(&key) {
+                    let model = self.fit_terms((&others, &stack), effect, &gains)?;
+                    self.remember(model);
+                }
+            }
+        }
+        Ok(self.best_of(size).map_or(model, |best| self.plainest(best)))
+    }
+
+    /// The model of fewest numbers among those that leave about as little as the best one, of as many effects.
+    fn plainest(&self, best: Model) -> Model {
+        let left = (best.fit.cost - self.noise).max(0.0);
+        let saved = (self.gap - left).max(0.0);
+        let most = best.fit.cost + NOISE_MARGIN + AS_LITTLE * left.min(saved);
+        let is_rival = |m: &&Model| m.terms.len() == best.terms.len() && m.fit.cost < most;
+        let plainest = self.tried.iter().filter(is_rival).min_by_key(|m| m.numbers());
+        match plainest {
+            Some(plain) if plain.numbers() < best.numbers() => plain.clone(),
+            _ => best,
+        }
+    }
+}

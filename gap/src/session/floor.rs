@@ -1,0 +1,183 @@
+//! The noise floor, measured from the recordings.
+//!
+//! Three independent estimates for every axis: first differences where no drive moves (zero-input), fourth differences
+//! everywhere (smooth motion cancels, white noise does not), and the difference of successive periods where the
+//! excitation is periodic. The lowest reliable one is taken: each of them can only be too high. What differs from period to period is kept level by level as well, because no model can
+//! explain it.
+
+use crate::session::intake::Track;
+use crate::session::pyramid::{Levels, transform};
+
+/// A quantity that was measured along an axis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Kind {
+    /// Gauge position, micrometres.
+    Position,
+    /// Amplifier output, volts.
+    Monitor,
+}
+
+/// Noise of one axis and kind over the session.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Noise {
+    /// What the tool works with, in the unit of the channel (micrometres or volts, root mean square).
+    pub sigma: f64,
+    /// From stretches of constant drive.
+    pub quiet: Option<f64>,
+    /// From fourth differences: the lower quartile of the recordings.
+    pub high_pass: Option<f64>,
+    /// From successive periods.
+    pub periodic: Option<f64>,
+}
+
+/// Shortest stretch of constant drive that counts as zero input, seconds.
+const QUIET_S: f64 = 0.05;
+
+/// Median of absolute values as a standard deviation of a normal distribution.
+pub fn robust_sd(values: &mut [f64]) -> f64 {
+    if values.is_empty() {
+        return f64::NAN;
+    }
+    for v in values.iter_mut() {
+        *v = v.abs();
+    }
+    let middle = values.len() / 2;
+    let (_, median, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
+    1.4826 * *median
+}
+
+/// White-noise level of a series from its fourth differences. Steps and edges are few and do not move a median.
+pub fn high_pass_sd(series: &[f32], present: &[bool]) -> Option<f64> {
+    let mut values: Vec<f64> = series
+        .windows(5)
+        .zip(present.windows(5))
+        .filter(|(_, p)| p.iter().all(|&p| p))
+        .map(|(w, _)| {
+            let w: Vec<f64> = w.iter().map(|&x| f64::from(x)).collect();
+            w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4]
+        })
+        .collect();
+    // Variance of the fourth difference of unit white noise: the central binomial coefficient C(8, 4).
+    (values.len() >= 200).then(|| spread(&mut values) / 70.0_f64.sqrt())
+}
+
+/// Standard deviation without the few large values: those within five robust deviations count. The median alone would be
+/// too coarse for samples that are rounded to an eighth of their noise.
+fn spread(values: &mut [f64]) -> f64 {
+    let mut limit = 5.0 * robust_sd(values);
+    let mean_square = |limit: f64, values: &[f64]| {
+        let (mut sum, mut n) = (0.0, 0_usize);
+        for &v in values.iter().filter(|v| v.abs() <= limit) {
+            sum += v * v;
+            n += 1;
+        }
+        if n == 0 { 0.0 } else { (sum / n as f64).sqrt() }
+    };
+    if limit == 0.0 {
+        // More than half of the values are equal: rounding is coarser than the noise.
+        limit = f64::INFINITY;
+    }
+    mean_square(limit, values)
+}
+
+/// First differences over the square root of two where no drive has moved for a while.
+fn quiet_differences(track: &Track, series: &[f32]) -> Vec<f64> {
+    let need = (QUIET_S * track.rate_hz).ceil().max(20.0) as usize;
+    let mut differences = Vec::new();
+    let mut still = 0_usize;
+    for i in 1..track.len() {
+        let moved = track.drive_v.iter().any(|d| d[i] != d[i - 1]);
+        still = if moved { 0 } else { still + 1 };
+        if still > need && track.present[i] && track.present[i - 1] {
+            differences
+                .push((f64::from(series[i]) - f64::from(series[i - 1])) / std::f64::consts::SQRT_2);
+        }
+    }
+    differences
+}
+
+/// Difference between the last two periods, halved in energy: what does not repeat.
+pub fn unrepeated(track: &Track, series: &[f32]) -> Option<Vec<f32>> {
+    let period = (track.period_s? * track.rate_hz).round() as usize;
+    let n = track.len();
+    if period < 64 || n < 2 * period {
+        return None;
+    }
+    // The first fifth of the earlier period may still hold the transient of the start.
+    let skip = if n < 3 * period { period / 5 } else { 0 };
+    let (later, earlier) =
+        (&series[n - period + skip..], &series[n - 2 * period + skip..n - period]);
+    let half = std::f32::consts::FRAC_1_SQRT_2;
+    Some(later.iter().zip(earlier).map(|(&a, &b)| (a - b) * half).collect())
+}
+
+fn column(track: &Track, axis: usize, kind: Kind) -> Option<&Vec<f32>> {
+    match kind {
+        Kind::Position => track.position_um[axis].as_ref(),
+        Kind::Monitor => track.monitor_v[axis].as_ref(),
+    }
+}
+
+/// Noise of one axis over the session; `None` where nothing was measured. `stated` is the rig's own figure and
+/// serves only where the recordings allow no estimate.
+pub fn noise(tracks: &[Track], axis: usize, kind: Kind, stated: f64) -> Option<Noise> {
+    let mut quiet = Vec::new();
+    let mut high = Vec::new();
+    let mut periodic = Vec::new();
+    let mut any = false;
+    for track in tracks {
+        let Some(series) = column(track, axis, kind) else { continue };
+        any = true;
+        quiet.extend(quiet_differences(track, series));
+        high.extend(high_pass_sd(series, &track.present));
+        if let Some(difference) = unrepeated(track, series) {
+            let mut d: Vec<f64> = difference.iter().map(|&x| f64::from(x)).collect();
+            periodic.push(spread(&mut d));
+        }
+    }
+    if !any {
+        return None;
+    }
+    // The lower quartile: some recordings hold fast motion that no difference cancels.
+    let low = |mut values: Vec<f64>| -> Option<f64> {
+        values.retain(|v| v.is_finite());
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 4).copied()
+    };
+    let quiet = (quiet.len() >= 500).then(|| spread(&mut quiet));
+    let (high_pass, periodic) = (low(high), low(periodic));
+    let measured = [quiet, high_pass, periodic].into_iter().flatten().fold(f64::INFINITY, f64::min);
+    let sigma = if measured.is_finite() && measured > 0.0 {
+        measured
+    } else if stated > 0.0 {
+        stated
+    } else {
+        1.0e-4
+    };
+    Some(Noise { sigma, quiet, high_pass, periodic })
+}
+
+/// Variance that does not repeat, level by level, in units of `sigma` squared; at least one.
+pub fn unrepeatable_levels(
+    track: &Track,
+    axis: usize,
+    kind: Kind,
+    sigma: f64,
+    levels: &Levels,
+) -> Vec<f64> {
+    let mut floor = vec![1.0; levels.count()];
+    let Some(difference) = column(track, axis, kind).and_then(|s| unrepeated(track, s)) else {
+        return floor;
+    };
+    let own = Levels::new(difference.len());
+    let coefficients = transform(&difference, &own);
+    for level in 0..levels.count().min(own.count()) {
+        let part = &coefficients[own.range(level)];
+        // Fewer than a dozen values do not make a variance.
+        if part.len() >= 12 {
+            let energy: f64 = part.iter().map(|&x| f64::from(x).powi(2)).sum();
+            floor[level] = (energy / part.len() as f64 / (sigma * sigma)).max(1.0);
+        }
+    }
+    floor
+}

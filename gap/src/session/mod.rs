@@ -1,0 +1,23 @@
+//! A session, ready to be compared with simulations of it. Recordings go in, whitened residuals of any rig come out.
+//!
+//! | file | what it does |
+//! | --- | --- |
+//! | [`intake`] | lays recordings on their clocks |
+//! | `past`, `memory` | what the stacks went through before a recording begins, and what of that nobody can know |
+//! | [`floor`] | noise, measured |
+//! | [`pyramid`], `spectra` | residuals by bands; lines and resonances in their spectra |
+//! | [`split`] | which recordings are fitted, and which only score |
+//! | `motions` | simulates, and keeps motions that will be asked for again |
+//! | [`scene`] | whitened residuals: all of the above together |
+//! | [`energy`] | size of a gap in nanometres, with intervals |
+
+pub mod energy;
+pub mod floor;
+pub mod intake;
+mod memory;
+pub(crate) mod motions;
+pub(crate) mod past;
+pub mod pyramid;
+pub mod scene;
+pub(crate) mod spectra;
+pub mod split;

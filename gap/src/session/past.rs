@@ -1,0 +1,120 @@
+//! What each stack went through before a recording, as far as the session tells: slow strains may run on from file to file.
+//!
+//! A hold of a minute goes on creeping back through the next ten files. The session's clock (`start_s`) says when each file
+//! began; between files the drives are at 0 V.
+
+use std::sync::Arc;
+
+use host_sim::Stretch;
+use host_sim::rig::Rig;
+
+use crate::Error;
+use crate::fitting::guess::Ranges;
+use crate::fitting::knobs::EffectRef;
+use crate::search::select::Search;
+use crate::session::intake::Track;
+use crate::session::scene::{Channel, Scene};
+
+/// Growth of the stretches with their age: what is long gone acts through its mean.
+const GROWTH: f64 = 1.06;
+/// Shortest stretch, s.
+const SHORTEST_S: f64 = 2.0e-3;
+
+/// Give every track the past of its axes.
+pub(crate) fn remember(rig: &Rig, tracks: &mut [Track]) {
+    let axes = rig.axes.len();
+    let sums: Vec<Vec<Vec<f64>>> =
+        tracks.iter().map(|track| (0..axes).map(|axis| sums(rig, track, axis)).collect()).collect();
+    for index in 0..tracks.len() {
+        let start_s = tracks[index].start_s;
+        // Files whose clocks overlap tell nothing of their order.
+        let before: Vec<usize> = (0..tracks.len())
+            .filter(|&t| t != index && end_s(&tracks[t]) <= start_s + SHORTEST_S)
+            .collect();
+        let Some(first_s) = before.iter().map(|&t| tracks[t].start_s).reduce(f64::min) else {
+            continue;
+        };
+        let past = (0..axes)
+            .map(|axis| {
+                let volt_seconds = |from_s: f64, to_s: f64| -> f64 {
+                    let within = |&t: &usize| {
+                        let at = |time_s: f64| {
+                            let sums = &sums[t][axis];
+                            let sample = (time_s - tracks[t].start_s) * tracks[t].rate_hz;
+                            sums[(sample.max(0.0) as usize).min(sums.len() - 1)]
+                        };
+                        at(to_s) - at(from_s)
+                    };
+                    before.iter().map(within).sum()
+                };
+                let mut stretches = Vec::new();
+                let (mut age_s, mut length_s) = (0.0, SHORTEST_S);
+                while age_s < start_s - first_s {
+                    stretches.push(Stretch {
+                        lasted_s: length_s,
+                        transducer_v: volt_seconds(start_s - age_s - length_s, start_s - age_s)
+                            / length_s,
+                    });
+                    age_s += length_s;
+                    length_s = (age_s * (GROWTH - 1.0)).max(SHORTEST_S);
+                }
+                stretches.reverse();
+                stretches.into()
+            })
+            .collect::<Vec<Arc<[Stretch]>>>();
+        tracks[index].past = past;
+    }
+}
+
+/// Whether creep runs on from file to file here, or every file begins with a stack that was given time to rest: what suits the
+/// recordings better. Without creep it does not matter.
+pub(crate) fn tell(
+    scene: &mut Scene,
+    rig: &Rig,
+    effects: &[EffectRef],
+    ranges: &Ranges,
+) -> Result<(), Error> {
+    let creep: Vec<EffectRef> =
+        effects.iter().copied().filter(|e| e.info().name == "creep").collect();
+    if creep.is_empty() || scene.tracks.iter().all(|track| track.past.is_empty()) {
+        return Ok(());
+    }
+    let left = |scene: &Scene| -> Result<f64, Error> {
+        let fitted = |c: &Channel| !c.held_out;
+        let tick = || {};
+        let model = Search::new(scene, rig, &creep, ranges, &fitted, &tick)?.run()?;
+        Ok(model.map_or(f64::INFINITY, |m| m.fit.cost))
+    };
+    let running_on = left(scene)?;
+    scene.runs_on = false;
+    scene.runs_on = running_on <= left(scene)?;
+    Ok(())
+}
+
+fn end_s(track: &Track) -> f64 {
+    track.start_s + track.len() as f64 / track.rate_hz
+}
+
+/// Volt-seconds of the transducer from the start of a track to each of its samples.
+///
+/// At rest `T v = K x`: the measured displacement knows the voltage behind the hysteresis. Where it is not measured, or not of
+/// this axis alone, the drive has to do.
+fn sums(rig: &Rig, track: &Track, axis: usize) -> Vec<f64> {
+    let a = &rig.axes[axis];
+    let volts_per_um = (a.piezo.stiffness_n_per_m + a.mechanism.stiffness_n_per_m)
+        / a.piezo.transformer_n_per_v
+        * 1.0e-6;
+    let own_gauge = rig.output_map.is_none();
+    let position = track.position_um[axis].as_ref().filter(|_| own_gauge);
+    let mut sum = 0.0;
+    std::iter::once(0.0)
+        .chain((0..track.len()).map(|i| {
+            let volts = match position {
+                Some(x) if track.present[i] => f64::from(x[i]) * volts_per_um,
+                _ => track.drive_v[axis][i],
+            };
+            sum += volts / track.rate_hz;
+            sum
+        }))
+        .collect()
+}

@@ -1,0 +1,477 @@
+//! A session ready to be compared with simulations: channels, their noise, and whitened residuals.
+//!
+//! A [`Channel`] is one measured quantity of one axis in one recording (or block of it). Its residual is split into bands
+//! ([`crate::session::pyramid`]), divided by the noise of the band, and by a tolerance for the form of the model:
+//! `variance = noise + (tolerance * nominal gap in this band)^2`. An effect of the right kind but of a slightly other
+//! form than the rig's then ranks by how much of the gap it removes in *every* band, level and axis, rather than by
+//! the one loud recording. Residuals are measured minus simulated.
+
+use std::sync::Arc;
+
+use host_sim::rig::Rig;
+use host_sim::{Axes, Output};
+use rayon::prelude::*;
+
+use crate::Error;
+use crate::session::floor::{self, Kind, Noise};
+use crate::session::intake::Track;
+use crate::session::motions::Motions;
+use crate::session::pyramid::{Levels, low_pass, share_kept, transform};
+
+/// Share of the nominal gap of a band that a correct effect of another form may leave.
+pub const TOLERANCE: f64 = 0.05;
+const METRES_TO_UM: f64 = 1.0e6;
+
+/// One measured quantity of one axis in one recording.
+#[derive(Debug, Clone)]
+pub struct Channel {
+    /// Index of the recording.
+    pub track: usize,
+    /// Axis, from 0.
+    pub axis: usize,
+    /// Position or monitor.
+    pub kind: Kind,
+    /// Noise, micrometres or volts.
+    pub sigma: f64,
+    /// Scored samples.
+    pub range: std::ops::Range<usize>,
+    /// Bands of the scored samples.
+    pub levels: Levels,
+    /// Variance that nothing can explain, in units of `sigma` squared, band by band.
+    pub unrepeatable: Vec<f64>,
+    /// Weight of each band: one over the square root of its variance.
+    pub weights: Vec<f32>,
+    /// Directions that the unknown memory of the stack may take, units of the noise.
+    pub(crate) memory: Vec<Vec<f32>>,
+    /// The same, whitened and orthonormal.
+    nuisance: Vec<Vec<f32>>,
+    /// Held out from fits.
+    pub held_out: bool,
+    /// Share of the spectrum, from 0 Hz, that is looked at; 1 is all of it.
+    pub kept_share: f64,
+}
+
+/// Whitened residuals, one entry a channel; `None` where the simulation could not have changed it.
+pub type Stack = Vec<Option<Vec<f32>>>;
+
+/// Whitened rows of some channels.
+type Rows = Vec<(usize, Vec<f32>)>;
+
+/// A session and how it is compared.
+#[derive(Debug, Clone)]
+pub struct Scene {
+    /// Recordings on their clocks.
+    pub tracks: Arc<Vec<Track>>,
+    /// What is compared.
+    pub channels: Vec<Channel>,
+    /// Position noise of each axis.
+    pub position_noise: Vec<Option<Noise>>,
+    /// Monitor noise of each axis.
+    pub monitor_noise: Vec<Option<Noise>>,
+    /// Slow strains of one recording are still there in the next.
+    pub runs_on: bool,
+    /// Motions that may be asked for again.
+    pub(crate) motions: Arc<Motions>,
+}
+
+/// What a simulation is wanted for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Wanted {
+    /// Bit mask of axes.
+    pub axes: u32,
+    /// Compare the amplifier monitors too.
+    pub monitors: bool,
+}
+
+impl Wanted {
+    /// Everything.
+    pub const ALL: Self = Self { axes: u32::MAX, monitors: true };
+}
+
+impl Scene {
+    /// Channels and noise of a session; weights are those of the noise alone until [`Channel::weigh`] is called.
+    pub fn new(rig: &Rig, tracks: Vec<Track>) -> Self {
+        let axes = rig.axes.len();
+        let noise = |axis: usize, kind: Kind| {
+            let stated = match kind {
+                Kind::Position => rig.axes[axis].sensor.noise_rms_m * METRES_TO_UM,
+                Kind::Monitor => rig.axes[axis].monitor.as_ref().map_or(0.0, |m| m.noise_rms_v),
+            };
+            floor::noise(&tracks, axis, kind, stated)
+        };
+        let position_noise: Vec<_> = (0..axes).map(|a| noise(a, Kind::Position)).collect();
+        let monitor_noise: Vec<_> = (0..axes).map(|a| noise(a, Kind::Monitor)).collect();
+        let mut channels = Vec::new();
+        for (index, track) in tracks.iter().enumerate() {
+            for axis in 0..axes {
+                for (kind, column, noise) in [
+                    (Kind::Position, &track.position_um[axis], &position_noise[axis]),
+                    (Kind::Monitor, &track.monitor_v[axis], &monitor_noise[axis]),
+                ] {
+                    let (Some(_), Some(noise)) = (column, noise) else { continue };
+                    channels.push(Channel::new(
+                        index,
+                        track,
+                        axis,
+                        kind,
+                        noise.sigma,
+                        track.settle..track.len(),
+                    ));
+                }
+            }
+        }
+        let samples = axes * tracks.iter().map(Track::len).sum::<usize>();
+        Self {
+            tracks: Arc::new(tracks),
+            channels,
+            position_noise,
+            monitor_noise,
+            runs_on: true,
+            motions: Arc::new(Motions::new(samples)),
+        }
+    }
+
+    /// The same session, every recording taken by itself, as a replay of a single file does: nothing runs on from the one before.
+    pub fn file_by_file(&self) -> Self {
+        Self { runs_on: false, ..self.clone() }
+    }
+
+    /// Cost of a stack over the channels of the axes in a mask.
+    pub fn cost_on(&self, stack: &Stack, axes: u32) -> f64 {
+        let rows = stack.iter().zip(&self.channels).filter(|(_, c)| axes >> c.axis & 1 == 1);
+        rows.filter_map(|(row, _)| row.as_ref()).map(|row| dot(row, row)).sum()
+    }
+
+    /// Cost that noise alone would leave there.
+    pub fn noise_on(&self, stack: &Stack, axes: u32) -> f64 {
+        let rows = stack.iter().zip(&self.channels).filter(|(_, c)| axes >> c.axis & 1 == 1);
+        rows.filter(|(row, _)| row.is_some()).map(|(_, c)| c.noise_cost()).sum()
+    }
+
+    /// Energy of positions beyond noise in a whitened stack, the weights undone.
+    pub fn excess(&self, stack: &Stack) -> f64 {
+        let rows = stack.iter().zip(&self.channels).filter(|(_, c)| c.kind == Kind::Position);
+        rows.filter_map(|(row, c)| row.as_ref().map(|row| c.excess(row))).sum()
+    }
+
+    /// A stack with the channels of one axis alone.
+    pub fn on_axis(&self, stack: &Stack, axis: usize) -> Stack {
+        let rows = stack.iter().zip(&self.channels);
+        rows.map(|(row, c)| row.clone().filter(|_| c.axis == axis)).collect()
+    }
+
+    /// Give the `fastest` bands of every channel no weight.
+    pub fn leave_out(&mut self, fastest: usize) {
+        if fastest > 0 {
+            self.channels.iter_mut().for_each(|channel| channel.leave_out(fastest));
+        }
+    }
+
+    /// Residual of a channel in units of its noise, not whitened, over its scored samples.
+    pub fn residual(&self, channel: &Channel, output: &Output) -> Vec<f32> {
+        let track = &self.tracks[channel.track];
+        let (measured, simulated, scale) = match channel.kind {
+            Kind::Position => {
+                (&track.position_um[channel.axis], &output.position_m[channel.axis], METRES_TO_UM)
+            }
+            Kind::Monitor => (&track.monitor_v[channel.axis], &output.monitor_v[channel.axis], 1.0),
+        };
+        let Some(measured) = measured else { return vec![0.0; channel.range.len()] };
+        let per_sigma = 1.0 / channel.sigma;
+        channel
+            .range
+            .clone()
+            .map(|i| {
+                if track.present[i] {
+                    ((f64::from(measured[i]) - simulated[i] * scale) * per_sigma) as f32
+                } else {
+                    0.0
+                }
+            })
+            .collect()
+    }
+
+    /// Whitened residuals of every rig, in parallel over rigs and recordings.
+    pub fn residuals(
+        &self,
+        rigs: &[(&Rig, Wanted)],
+        include: impl Fn(&Channel) -> bool + Sync,
+    ) -> Result<Vec<Stack>, Error> {
+        self.stacks(rigs, include, false)
+    }
+
+    /// Whitened residuals of a rig whose neighbours will be asked for: it is kept how its axes move.
+    pub fn residuals_at(
+        &self,
+        rig: &Rig,
+        wanted: Wanted,
+        include: impl Fn(&Channel) -> bool + Sync,
+    ) -> Result<Stack, Error> {
+        Ok(self.stacks(&[(rig, wanted)], include, true)?.remove(0))
+    }
+
+    fn stacks(
+        &self,
+        rigs: &[(&Rig, Wanted)],
+        include: impl Fn(&Channel) -> bool + Sync,
+        keep: bool,
+    ) -> Result<Vec<Stack>, Error> {
+        // The longest ones first, each by itself, or one core would wait for the other.
+        let mut order: Vec<usize> = (0..self.tracks.len()).collect();
+        order.sort_by_key(|&track| std::cmp::Reverse(self.tracks[track].len()));
+        let jobs: Vec<(usize, usize)> =
+            order.iter().flat_map(|&track| (0..rigs.len()).map(move |rig| (rig, track))).collect();
+        let done: Vec<(usize, Rows)> = jobs
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|(index, track)| {
+                let (rig, wanted) = rigs[index];
+                let mine: Vec<usize> = (0..self.channels.len())
+                    .filter(|&c| {
+                        let channel = &self.channels[c];
+                        channel.track == track
+                            && wanted.axes >> channel.axis & 1 == 1
+                            && (wanted.monitors || channel.kind == Kind::Position)
+                            && include(channel)
+                    })
+                    .collect();
+                if mine.is_empty() {
+                    return Ok((index, Vec::new()));
+                }
+                let mask = mine.iter().fold(0_u32, |m, &c| m | 1 << self.channels[c].axis);
+                let output = self.recalled(rig, track, Axes::Only(mask), keep)?;
+                let rows = mine
+                    .into_iter()
+                    .map(|c| {
+                        (c, self.channels[c].whiten(&self.residual(&self.channels[c], &output)))
+                    })
+                    .collect();
+                Ok((index, rows))
+            })
+            .collect::<Result<_, Error>>()?;
+        let mut stacks: Vec<Stack> = vec![vec![None; self.channels.len()]; rigs.len()];
+        for (index, rows) in done {
+            for (channel, row) in rows {
+                stacks[index][channel] = Some(row);
+            }
+        }
+        Ok(stacks)
+    }
+
+    /// Residuals over time in units of the noise, what an unknown memory could have caused taken out.
+    pub fn raw(
+        &self,
+        rig: &Rig,
+        include: impl Fn(&Channel) -> bool + Sync,
+    ) -> Result<Stack, Error> {
+        let rows: Vec<Vec<(usize, Vec<f32>)>> = (0..self.tracks.len())
+            .into_par_iter()
+            .map(|track| {
+                let mine: Vec<usize> = (0..self.channels.len())
+                    .filter(|&c| self.channels[c].track == track && include(&self.channels[c]))
+                    .collect();
+                if mine.is_empty() {
+                    return Ok(Vec::new());
+                }
+                let output = self.recalled(rig, track, Axes::All, false)?;
+                Ok(mine
+                    .into_iter()
+                    .map(|c| {
+                        let mut row = self.residual(&self.channels[c], &output);
+                        self.channels[c].remove_memory(&mut row);
+                        (c, row)
+                    })
+                    .collect())
+            })
+            .collect::<Result<_, Error>>()?;
+        let mut stack: Stack = vec![None; self.channels.len()];
+        for (c, row) in rows.into_iter().flatten() {
+            stack[c] = Some(row);
+        }
+        Ok(stack)
+    }
+}
+
+impl Channel {
+    /// A channel weighed by its noise alone.
+    pub fn new(
+        track_index: usize,
+        track: &Track,
+        axis: usize,
+        kind: Kind,
+        sigma: f64,
+        range: std::ops::Range<usize>,
+    ) -> Self {
+        let levels = Levels::new(range.len());
+        let unrepeatable = floor::unrepeatable_levels(track, axis, kind, sigma, &levels);
+        let weights = unrepeatable.iter().map(|v| (1.0 / v.sqrt()) as f32).collect();
+        Self {
+            track: track_index,
+            axis,
+            kind,
+            sigma,
+            range,
+            levels,
+            unrepeatable,
+            weights,
+            memory: Vec::new(),
+            nuisance: Vec::new(),
+            held_out: false,
+            kept_share: 1.0,
+        }
+    }
+
+    /// Band-weighted coefficients of a residual given in units of the noise, unknown memory removed.
+    pub fn whiten(&self, residual: &[f32]) -> Vec<f32> {
+        let mut out = if self.kept_share < 1.0 {
+            transform(&low_pass(residual, self.kept_share), &self.levels)
+        } else {
+            transform(residual, &self.levels)
+        };
+        for (level, &weight) in self.weights.iter().enumerate() {
+            if weight != 1.0 {
+                for x in &mut out[self.levels.range(level)] {
+                    *x *= weight;
+                }
+            }
+        }
+        for direction in &self.nuisance {
+            let share = dot(&out, direction) as f32;
+            for (x, d) in out.iter_mut().zip(direction) {
+                *x -= share * d;
+            }
+        }
+        out
+    }
+
+    /// Allow for a model of another form: `gap` is the mean square of the nominal residual in each band.
+    pub fn weigh(&mut self, power: &[f64], tolerance: f64) {
+        self.weights = power
+            .iter()
+            .zip(&self.unrepeatable)
+            .map(|(p, u)| (1.0 / (u + tolerance * tolerance * (p - u).max(0.0)).sqrt()) as f32)
+            .collect();
+        self.orthonormalise();
+    }
+
+    /// Give the `fastest` bands no weight, and keep what is above them from leaking into the others.
+    pub fn leave_out(&mut self, fastest: usize) {
+        let last = self.levels.count() - 1;
+        for weight in &mut self.weights[..fastest.min(last)] {
+            *weight = 0.0;
+        }
+        self.kept_share = share_kept(fastest);
+        self.orthonormalise();
+    }
+
+    /// `true` where the unknown memory of the stack reaches into the scored part.
+    pub fn has_memory(&self) -> bool {
+        !self.nuisance.is_empty()
+    }
+
+    /// Least-squares removal of the memory directions from a raw residual.
+    fn remove_memory(&self, row: &mut [f32]) {
+        if self.nuisance.is_empty() {
+            return;
+        }
+        let mut basis: Vec<Vec<f32>> = Vec::new();
+        for direction in &self.memory {
+            let mut d = direction.clone();
+            for b in &basis {
+                let share = dot(&d, b) as f32;
+                d.iter_mut().zip(b).for_each(|(x, y)| *x -= share * y);
+            }
+            let norm = dot(&d, &d).sqrt();
+            if norm > 1.0e-3 * dot(direction, direction).sqrt() {
+                d.iter_mut().for_each(|x| *x /= norm as f32);
+                let share = dot(row, &d) as f32;
+                row.iter_mut().zip(&d).for_each(|(x, y)| *x -= share * y);
+                basis.push(d);
+            }
+        }
+    }
+
+    pub(crate) fn orthonormalise(&mut self) {
+        self.nuisance.clear();
+        for direction in std::mem::take(&mut self.memory) {
+            let before = direction.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt();
+            let mut row = self.whiten(&direction);
+            let norm = dot(&row, &row).sqrt();
+            if norm > 1.0e-3 * before && norm > 0.1 {
+                for x in &mut row {
+                    *x /= norm as f32;
+                }
+                self.nuisance.push(row);
+            }
+            self.memory.push(direction);
+        }
+    }
+
+    /// Mean square of each band of whitened residual `row`, the weights undone, in units of the noise variance.
+    pub fn band_power(&self, row: &[f32]) -> Vec<f64> {
+        (0..self.levels.count())
+            .map(|level| {
+                let part = &row[self.levels.range(level)];
+                let weight = f64::from(self.weights[level]);
+                let energy: f64 = part.iter().map(|&x| f64::from(x).powi(2)).sum();
+                // A band that was left out holds nothing.
+                if weight == 0.0 {
+                    0.0
+                } else {
+                    energy / (weight * weight) / part.len().max(1) as f64
+                }
+            })
+            .collect()
+    }
+
+    /// Energy of a whitened row beyond what noise leaves there, the weights undone; units of the noise variance.
+    pub fn excess(&self, row: &[f32]) -> f64 {
+        self.band_power(row)
+            .iter()
+            .enumerate()
+            .filter(|&(l, _)| self.weights[l] > 0.0)
+            .map(|(l, p)| (p - self.unrepeatable[l]) * self.levels.range(l).len() as f64)
+            .sum()
+    }
+
+    /// Cost that noise alone would leave: the sum of all weights squared times the variance that cannot be explained.
+    pub fn noise_cost(&self) -> f64 {
+        let levels = self.unrepeatable.iter().zip(&self.weights).enumerate();
+        levels
+            .map(|(l, (v, w))| self.levels.range(l).len() as f64 * v * f64::from(*w).powi(2))
+            .sum()
+    }
+
+    /// Energy of a whitened row beyond noise, that of the noise, and the standard deviation squared of the latter; weights undone.
+    pub fn excess_of(&self, row: &[f32]) -> (f64, f64, f64) {
+        let (mut floor, mut spread) = (0.0, 0.0);
+        for (level, v) in
+            self.unrepeatable.iter().enumerate().filter(|&(l, _)| self.weights[l] > 0.0)
+        {
+            let n = self.levels.range(level).len() as f64;
+            floor += v * n;
+            spread += 2.0 * v * v * n;
+        }
+        (self.excess(row), floor, spread)
+    }
+}
+
+/// Inner product in double precision.
+pub fn dot(a: &[f32], b: &[f32]) -> f64 {
+    // Chunks of single-precision sums vectorise; their totals are added in double precision.
+    a.chunks(256)
+        .zip(b.chunks(256))
+        .map(|(a, b)| {
+            let mut lanes = [0.0_f32; 8];
+            let (a8, ar) = a.as_chunks::<8>();
+            let (b8, br) = b.as_chunks::<8>();
+            for (x, y) in a8.iter().zip(b8) {
+                for k in 0..8 {
+                    lanes[k] += x[k] * y[k];
+                }
+            }
+            let tail: f32 = ar.iter().zip(br).map(|(x, y)| x * y).sum();
+            f64::from(lanes.iter().sum::<f32>() + tail)
+        })
+        .sum()
+}

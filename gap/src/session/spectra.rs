@@ -1,0 +1,268 @@
+//! What stands out in the spectra of a session: lines of a hum, and resonances.
+
+use std::collections::BTreeMap;
+
+use realfft::RealFftPlanner;
+
+use crate::session::floor::Kind;
+use crate::session::scene::{Scene, Stack};
+
+/// Power spectrum of a row with a Hann window: frequency step in Hz and density of each bin.
+pub fn spectrum(row: &[f32], rate_hz: f64) -> (f64, Vec<f64>) {
+    let n = row.len();
+    let mut planner = RealFftPlanner::<f64>::new();
+    let fft = planner.plan_fft_forward(n);
+    let mean = row.iter().map(|&x| f64::from(x)).sum::<f64>() / n as f64;
+    let mut input: Vec<f64> = row
+        .iter()
+        .enumerate()
+        .map(|(i, &x)| {
+            let window = 0.5 - 0.5 * (std::f64::consts::TAU * i as f64 / n as f64).cos();
+            (f64::from(x) - mean) * window
+        })
+        .collect();
+    let mut output = fft.make_output_vec();
+    if fft.process(&mut input, &mut output).is_err() {
+        return (1.0, Vec::new());
+    }
+    // One-sided density; the Hann window keeps 3/8 of the power.
+    let scale = 2.0 / (rate_hz * n as f64 * 0.375);
+    (rate_hz / n as f64, output.iter().map(|c| c.norm_sqr() * scale).collect())
+}
+
+/// Longest stretch of a recording that one spectrum is taken of where a resonance is looked for.
+const STRETCH: usize = 8192;
+
+/// Mean power spectrum of stretches that overlap by three quarters (Welch's method): frequency step in Hz and density of each bin. Stretches
+/// begin before the recording and end behind it, so that all samples weigh the same: a sweep ends where it is fastest, and a window over the
+/// whole of it takes that away.
+fn mean_spectrum(row: &[f32], rate_hz: f64) -> (f64, Vec<f64>) {
+    let hop = (STRETCH.min(row.len()) / 4).max(1);
+    let mean = row.iter().sum::<f32>() / row.len().max(1) as f32;
+    let mut padded = vec![0.0; 3 * hop];
+    padded.extend(row.iter().map(|x| x - mean));
+    padded.resize(padded.len().next_multiple_of(hop) + 3 * hop, 0.0);
+    let mut sum: Vec<f64> = Vec::new();
+    let mut step = 1.0;
+    for start in (0..=padded.len() - 4 * hop).step_by(hop) {
+        let (own, power) = spectrum(&padded[start..start + 4 * hop], rate_hz);
+        step = own;
+        sum.resize(power.len(), 0.0);
+        sum.iter_mut().zip(&power).for_each(|(sum, power)| *sum += power);
+    }
+    // As many as there are hops in the recording: stretches at both ends are partly empty.
+    let hops = row.len() as f64 / hop as f64;
+    sum.iter_mut().for_each(|power| *power /= hops);
+    (step, sum)
+}
+
+/// Slowest hum, Hz: mains and supplies are faster, and what stands out below is a harmonic of a slow drive, a nonlinearity.
+pub(crate) const SLOWEST_HUM_HZ: f64 = 20.0;
+
+/// Lines that are looked at for harmonics.
+const MOST_LINES: usize = 8;
+
+/// Whether one of the lines is this multiple of another one.
+pub(crate) fn has_harmonic(lines: &[f64], order: f64) -> bool {
+    lines.iter().any(|hz| lines.iter().any(|of| (hz - order * of).abs() < 0.6 * order))
+}
+
+/// Lines that stand out of their neighbourhood, the strongest first, summed over recordings on a grid of half a hertz.
+pub(crate) fn lines(scene: &Scene, raw: &Stack, kind: Kind) -> Vec<f64> {
+    let mut found: Vec<(f64, f64)> = Vec::new();
+    for (c, channel) in scene.channels.iter().enumerate() {
+        let Some(row) = raw[c].as_ref().filter(|r| channel.kind == kind && r.len() >= 512) else {
+            continue;
+        };
+        let rate = scene.tracks[channel.track].rate_hz;
+        let (step, power) = spectrum(row, rate);
+        let first = ((SLOWEST_HUM_HZ / step) as usize).max(4);
+        for k in first..power.len().saturating_sub(40) {
+            if power[k] < power[k - 1] || power[k] < power[k + 1] {
+                continue;
+            }
+            let low = k.saturating_sub(30);
+            let mut around: Vec<f64> = power[low..k + 31].to_vec();
+            let middle = around.len() / 2;
+            let (_, &mut median, _) = around.select_nth_unstable_by(middle, f64::total_cmp);
+            // Of 10^5 bins of pure noise none stands out by a factor of forty over the median.
+            if power[k] > 40.0 * median.max(1.0e-30) {
+                // Parabola through the logarithms of three bins.
+                let (a, b, c) =
+                    (power[k - 1].max(1e-300).ln(), power[k].ln(), power[k + 1].max(1e-300).ln());
+                let shift = if (a - 2.0 * b + c).abs() > 1.0e-9 {
+                    0.5 * (a - c) / (a - 2.0 * b + c)
+                } else {
+                    0.0
+                };
+                let hz = (k as f64 + shift.clamp(-0.5, 0.5)) * step;
+                // Every recording votes once a line: a line of the drive shows in one kind of recording only.
+                match found.iter_mut().find(|(f, _)| (*f - hz).abs() < 0.6) {
+                    Some(known) => known.1 += (power[k] / median).ln(),
+                    None => found.push((hz, (power[k] / median).ln())),
+                }
+            }
+        }
+    }
+    found.sort_by(|a, b| b.1.total_cmp(&a.1));
+    found.into_iter().take(MOST_LINES).map(|(hz, _)| hz).collect()
+}
+
+/// Frequency near `hz` whose phase runs on over the whole session: single recordings are too short to tell it.
+pub(crate) fn coherent(scene: &Scene, raw: &Stack, kind: Kind, hz: f64) -> f64 {
+    const BLOCK_S: f64 = 0.1;
+    const REACH_HZ: f64 = 0.6;
+    let tau = std::f64::consts::TAU;
+    let axes = scene.position_noise.len();
+    let mut blocks: Vec<Vec<(f64, f64, f64)>> = vec![Vec::new(); axes];
+    let mut span = (f64::INFINITY, f64::NEG_INFINITY);
+    for (c, channel) in scene.channels.iter().enumerate() {
+        let Some(row) = raw[c].as_ref().filter(|_| channel.kind == kind) else { continue };
+        let track = &scene.tracks[channel.track];
+        let length = ((BLOCK_S * track.rate_hz) as usize).max(1);
+        for (b, part) in row.chunks(length).enumerate() {
+            let first = channel.range.start + b * length;
+            let mean = part.iter().map(|&x| f64::from(x)).sum::<f64>() / part.len() as f64;
+            let (mut re, mut im) = (0.0, 0.0);
+            for (k, &x) in part.iter().enumerate() {
+                let t = track.start_s + (first + k) as f64 / track.rate_hz;
+                let (sin, cos) = (tau * hz * t).sin_cos();
+                re += (f64::from(x) - mean) * cos;
+                im -= (f64::from(x) - mean) * sin;
+            }
+            let t = track.start_s + (first as f64 + 0.5 * part.len() as f64) / track.rate_hz;
+            span = (span.0.min(t), span.1.max(t));
+            blocks[channel.axis].push((t, re, im));
+        }
+    }
+    let step = 1.0 / (8.0 * (span.1 - span.0).max(1.0));
+    let reach = (REACH_HZ / step) as i64;
+    (-reach..=reach)
+        .map(|k| {
+            let shift = k as f64 * step;
+            let power: f64 = blocks
+                .iter()
+                .map(|blocks| {
+                    let (mut re, mut im) = (0.0, 0.0);
+                    for &(t, x, y) in blocks {
+                        let (sin, cos) = (tau * shift * t).sin_cos();
+                        re += x * cos + y * sin;
+                        im += y * cos - x * sin;
+                    }
+                    re * re + im * im
+                })
+                .sum();
+            (hz + shift, power)
+        })
+        .max_by(|a, b| a.1.total_cmp(&b.1))
+        .map_or(hz, |(hz, _)| hz)
+}
+
+/// Slowest resonance that is looked for, Hz: what stands out below is a harmonic of a slow drive.
+const SLOWEST_MODE_HZ: f64 = 60.0;
+
+/// Cells of an octave in which the answer to the drive is averaged.
+const CELLS: f64 = 24.0;
+
+/// Power over that of the noise from which a line is one.
+const RINGS: f64 = 40.0;
+
+/// Ratio up to which two resonances are one.
+const SAME: f64 = 1.04;
+
+/// Add a frequency, Hz, unless it is known.
+pub(crate) fn push_apart(known: &mut Vec<f64>, hz: f64) {
+    if known.iter().all(|f| (f / hz).max(hz / f) > SAME) {
+        known.push(hz);
+    }
+}
+
+/// Where each axis answers most beyond its model, likeliest first: the peak of the ratio of measured to simulated power, where the
+/// simulation moves by more than the noise, and the strongest line of what the model leaves, where it rings.
+pub(crate) fn resonances(scene: &Scene, raw: &Stack) -> Vec<Vec<f64>> {
+    let axes = scene.position_noise.len();
+    let mut answers: Vec<BTreeMap<i64, (f64, f64)>> = vec![BTreeMap::new(); axes];
+    let mut rings: Vec<(f64, f64)> = vec![(0.0, 0.0); axes];
+    let fastest = scene.tracks.iter().map(|track| track.rate_hz).fold(0.0, f64::max);
+    for (channel, row) in scene.channels.iter().zip(raw) {
+        let Some(row) = row.as_ref().filter(|r| channel.kind == Kind::Position && r.len() >= 512)
+        else {
+            continue;
+        };
+        let track = &scene.tracks[channel.track];
+        let Some(position) = &track.position_um[channel.axis] else { continue };
+        let measured: Vec<f32> =
+            channel.range.clone().map(|i| position[i] / channel.sigma as f32).collect();
+        let simulated: Vec<f32> = measured.iter().zip(row).map(|(m, r)| m - r).collect();
+        let (step, power) = mean_spectrum(&measured, track.rate_hz);
+        let (_, model) = mean_spectrum(&simulated, track.rate_hz);
+        let noise = 2.0 / track.rate_hz;
+        for (k, (&p, &m)) in power.iter().zip(&model).enumerate().skip(1) {
+            let hz = k as f64 * step;
+            if hz > SLOWEST_MODE_HZ && m > 3.0 * noise {
+                let cell = answers[channel.axis]
+                    .entry((hz.log2() * CELLS).round() as i64)
+                    .or_insert((0.0, 0.0));
+                cell.0 += (p / m).min(1.0e4).ln();
+                cell.1 += 1.0;
+            }
+        }
+        // A slow recording shows the alias of what rings.
+        if track.rate_hz > 0.5 * fastest {
+            let (_, left) = mean_spectrum(row, track.rate_hz);
+            let ring = &mut rings[channel.axis];
+            for (k, &p) in left.iter().enumerate() {
+                let hz = k as f64 * step;
+                if hz > SLOWEST_MODE_HZ && p > ring.1.max(RINGS * noise) {
+                    *ring = (hz, p);
+                }
+            }
+        }
+    }
+    let peak = |cells: BTreeMap<i64, (f64, f64)>| {
+        cells
+            .into_iter()
+            .filter(|(_, (_, n))| *n >= 3.0)
+            .map(|(cell, (log_ratio, n))| (2.0_f64.powf(cell as f64 / CELLS), log_ratio / n))
+            .filter(|(_, log_ratio)| *log_ratio > 0.3)
+            .max_by(|a, b| a.1.total_cmp(&b.1))
+            .map(|(hz, _)| hz)
+    };
+    answers
+        .into_iter()
+        .zip(rings)
+        .map(|(cells, (ring_hz, power))| {
+            let mut found: Vec<f64> = peak(cells).into_iter().collect();
+            if power > 0.0 {
+                push_apart(&mut found, ring_hz);
+            }
+            found
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A tone in the last 3 % alone.
+    #[test]
+    fn what_comes_last_weighs_as_much_as_what_comes_first() {
+        const COUNT: usize = 40_000;
+        const RATE_HZ: f64 = 10_000.0;
+        let tone = |first: usize| -> Vec<f32> {
+            let is_on = |i: usize| i >= first && i < first + 1_200;
+            let value = |i: usize| (std::f64::consts::TAU * 1_690.0 * i as f64 / RATE_HZ).sin();
+            (0..COUNT).map(|i| if is_on(i) { value(i) as f32 } else { 0.0 }).collect()
+        };
+        let power = |row: &[f32]| {
+            let (step, power) = mean_spectrum(row, RATE_HZ);
+            step * power.iter().sum::<f64>()
+        };
+        let is = 0.5 * 1_200.0 / COUNT as f64;
+        for first in [0, 17_000, COUNT - 1_200] {
+            let found = power(&tone(first));
+            assert!((found / is - 1.0).abs() < 0.05, "from {first}: {found} of {is}");
+        }
+    }
+}
