@@ -74,8 +74,18 @@ pub struct Truth {
     pub stage: String,
     /// For people: form, size, kind of fault.
     pub note: String,
-    /// Gap that it makes alone, in multiples of the gauge's noise.
+    /// Gap that it makes alone, in multiples of the gauge's noise of each axis: what sizes are drawn by.
     pub ratio: f64,
+    /// Gap that it makes alone, nm rms over axes and samples: what an answer's `closes` is about, and what orders its causes.
+    pub gap_nm: f64,
+}
+
+/// How large a gap is, rms over axes and scored samples.
+#[derive(Clone, Copy, Debug, Default)]
+struct Gap {
+    /// In multiples of the noise of each axis' gauge.
+    ratio: f64,
+    nm: f64,
 }
 
 /// What a case is, as the key says.
@@ -155,14 +165,15 @@ impl Case {
                     let left: Vec<_> =
                         allowed.iter().filter(|effect| !taken.contains(&effect.name)).collect();
                     let Some(effect) = left.choose(&mut rng) else { break };
-                    let (drawn, ratio) = trial.sized(effect, draw, &mut rng);
+                    let (drawn, gap) = trial.sized(effect, draw, &mut rng);
                     drawn.apply(&mut world);
                     truth.push(Truth {
                         effect: effect.name.into(),
                         axes: drawn.axes.iter().map(|axis| axis + 1).collect(),
                         stage: effect.stage.into(),
                         note: format!("size {:.4e}, sign {}", drawn.size, drawn.sign),
-                        ratio,
+                        ratio: gap.ratio,
+                        gap_nm: gap.nm,
                     });
                 }
             }
@@ -171,7 +182,7 @@ impl Case {
                     *draw.faults.choose(&mut rng).expect("not empty, as its documentation asks");
                 let one = rng.random_range(0..axes);
                 let on = if rng.random_bool(0.3) { 0..axes } else { one..one + 1 };
-                let (size, ratio, sized) = trial.sized_fault(fault, &on, draw.ratio, &mut rng);
+                let (size, gap, sized) = trial.sized_fault(fault, &on, draw.ratio, &mut rng);
                 for axis in on.clone() {
                     // What is broken throws other dice than when it was sized; physics stays what it was.
                     let is_physics = Kind::PHYSICS.contains(&fault);
@@ -183,7 +194,8 @@ impl Case {
                     axes: on.map(|axis| axis + 1).collect(),
                     stage: fault.stage().into(),
                     note: format!("{}, size {size:.4e}", fault.name()),
-                    ratio,
+                    ratio: gap.ratio,
+                    gap_nm: gap.nm,
                 });
             }
             _ => {}
@@ -287,9 +299,9 @@ impl Trial<'_> {
         simulate_all(&mut world, self.experiments.iter(), Options::ROUGH)
     }
 
-    /// Gap in multiples of the noise, over all axes and scored samples of recordings that settle first.
-    fn ratio(&self, nominal: &[Recording], changed: &[Recording]) -> f64 {
-        let (mut sum, mut count) = (0.0, 0usize);
+    /// Gap over all axes and scored samples of recordings that settle first.
+    fn gap(&self, nominal: &[Recording], changed: &[Recording]) -> Gap {
+        let (mut sum, mut sum_um2, mut count) = (0.0, 0.0, 0usize);
         for (nominal, changed) in nominal.iter().zip(changed) {
             if nominal.meta.settle_s == 0.0 {
                 continue;
@@ -300,31 +312,34 @@ impl Trial<'_> {
                 let noise_um = self.rig.axes[axis].noise_m * 1e6;
                 for (a, b) in a[from..].iter().zip(&b[from..]) {
                     sum += (f64::from(a - b) / noise_um).powi(2);
+                    sum_um2 += f64::from(a - b).powi(2);
                 }
                 count += a.len() - from;
             }
         }
-        (sum / count.max(1) as f64).sqrt()
+        let rms = |sum: f64| (sum / count.max(1) as f64).sqrt();
+        Gap { ratio: rms(sum), nm: 1e3 * rms(sum_um2) }
     }
 
     /// An effect whose gap is within the wanted range: drawn from physical sizes, then brought to a size drawn
     /// log-uniformly inside the range if it fell outside.
-    fn sized(&self, effect: &'static Effect, draw: &Draw, rng: &mut impl Rng) -> (Drawn, f64) {
+    fn sized(&self, effect: &'static Effect, draw: &Draw, rng: &mut impl Rng) -> (Drawn, Gap) {
         let range = draw.ratio;
         let nominal = self.positions(|_| {});
-        let mut best: Option<(Drawn, f64)> = None;
+        let mut best: Option<(Drawn, Gap)> = None;
         for _ in 0..4 {
             let mut drawn = Drawn::new(effect, self.rig.axes.len(), rng);
             drawn.is_further = draw.further_forms;
             let wanted = rng.random_range(range.0.ln()..range.1.ln()).exp();
             for _ in 0..4 {
-                let ratio = self.ratio(&nominal, &self.positions(|world| drawn.apply(world)));
+                let gap = self.gap(&nominal, &self.positions(|world| drawn.apply(world)));
+                let ratio = gap.ratio;
                 if (range.0..=range.1).contains(&ratio) {
-                    return (drawn, ratio);
+                    return (drawn, gap);
                 }
                 let off = |ratio: f64| (ratio.max(1e-3) / wanted).ln().abs();
-                if best.as_ref().is_none_or(|best| off(ratio) < off(best.1)) {
-                    best = Some((drawn.clone(), ratio));
+                if best.as_ref().is_none_or(|best| off(ratio) < off(best.1.ratio)) {
+                    best = Some((drawn.clone(), gap));
                 }
                 // Never beyond twice what is physical: some effects cannot make the gap that was wanted.
                 let factor = (wanted / ratio.max(1e-3)).clamp(0.1, 10.0);
@@ -341,19 +356,19 @@ impl Trial<'_> {
         on: &Range<usize>,
         range: (f64, f64),
         rng: &mut impl Rng,
-    ) -> (f64, f64, u64) {
+    ) -> (f64, Gap, u64) {
         let nominal = self.positions(|_| {});
         let seed = rng.random();
         let mut size = kind.draw(rng);
         let wanted = rng.random_range(range.0.ln()..range.1.ln()).exp();
-        let mut ratio = 0.0;
+        let mut gap = Gap::default();
         for _ in 0..4 {
             let faults = || on.clone().map(|axis| Fault::new(axis, kind, size, seed));
-            ratio = self.ratio(&nominal, &self.positions(|world| world.faults.extend(faults())));
-            if (range.0..=range.1).contains(&ratio) {
+            gap = self.gap(&nominal, &self.positions(|world| world.faults.extend(faults())));
+            if (range.0..=range.1).contains(&gap.ratio) {
                 break;
             }
-            size *= (wanted / ratio.max(1e-3)).clamp(0.2, 5.0);
+            size *= (wanted / gap.ratio.max(1e-3)).clamp(0.2, 5.0);
             if matches!(
                 kind,
                 Kind::Freeze | Kind::Dropout | Kind::Brownout | Kind::HighPass | Kind::SupplySag
@@ -361,6 +376,6 @@ impl Trial<'_> {
                 size = size.min(0.9);
             }
         }
-        (size, ratio, seed)
+        (size, gap, seed)
     }
 }

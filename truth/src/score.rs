@@ -161,8 +161,8 @@ pub fn score(
                 .map(|place| label.truth.iter().any(|truth| truth.stage == place.stage));
         }
         _ => {
-            // The larger of a pair is to come first.
-            let dominant = known.iter().max_by(|a, b| a.ratio.total_cmp(&b.ratio));
+            // The larger of a pair is to come first: in nanometres, as the contract measures gaps.
+            let dominant = known.iter().max_by(|a, b| a.gap_nm.total_cmp(&b.gap_nm));
             if let (Some(first), Some(dominant)) = (first, dominant) {
                 outcome.right = first.holds(&dominant.effect);
                 outcome.stage_right = Some(first.stage == dominant.stage || outcome.right);
@@ -385,6 +385,7 @@ mod tests {
             stage: "piezo".into(),
             note: "telegraph-gauge, size 1".into(),
             ratio,
+            gap_nm: 4.0 * ratio,
         };
         Label {
             id: "case".into(),

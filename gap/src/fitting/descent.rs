@@ -99,6 +99,11 @@ impl<'a> Descent<'a> {
         self.best.iter().sum()
     }
 
+    /// Cost of each part here.
+    pub(crate) fn parts(&self) -> &[f64] {
+        &self.best
+    }
+
     /// Normal matrix and gradient here, priors included.
     pub(crate) fn normal(&self, sensitivities: &Sensitivities) -> (DMatrix<f64>, DVector<f64>) {
         let (mut matrix, mut gradient) = sensitivities.normal(self.scene, &self.stack);

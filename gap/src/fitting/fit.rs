@@ -34,6 +34,11 @@ pub struct Fit {
 /// Share of what is left that an iteration takes off while a fit is still on its way.
 const FAST: f64 = 0.3;
 
+/// Iterations like the last one that a fit may have in it: more is the sum of a series that falls by less than a quarter.
+const MOST_TO_COME: usize = 3;
+/// Share of the cost of an axis below which most of a gap there that is larger than its noise may be closed: to be found out.
+const AN_AXIS: f64 = 0.6;
+
 /// How long and on what to fit.
 #[derive(Clone, Copy)]
 pub struct Effort {
@@ -45,12 +50,19 @@ pub struct Effort {
     pub floor: f64,
     /// Give up after two iterations that leave more than this cost and no longer fall fast.
     pub hopeless: f64,
+    /// Give up once the iterations left, each taking off as much as the last one, a few of them, would not come to this cost.
+    pub worth: f64,
 }
 
 impl Effort {
     /// What most fits take.
-    pub const DEFAULT: Self =
-        Self { iterations: 8, tolerance: 1.0e-3, floor: 0.0, hopeless: f64::INFINITY };
+    pub const DEFAULT: Self = Self {
+        iterations: 8,
+        tolerance: 1.0e-3,
+        floor: 0.0,
+        hopeless: f64::INFINITY,
+        worth: f64::INFINITY,
+    };
 }
 
 impl Default for Effort {
@@ -226,8 +238,10 @@ pub fn fit(
     let mut normal = DMatrix::zeros(knobs.len(), knobs.len());
     let mut descent = Descent::start(scene, base, &knobs, values, untouched, include)?;
     let mut falls_fast = true;
+    let first = descent.parts().to_vec();
     for iteration in 0..effort.iterations {
         let before = descent.cost();
+        let parts = descent.parts().to_vec();
         let hopeless = before > effort.hopeless && !falls_fast;
         if knobs.is_empty() || (iteration >= 2 && hopeless) {
             break;
@@ -240,6 +254,17 @@ pub fn fit(
         let now = descent.cost();
         falls_fast = before - now > FAST * (before - effort.floor);
         if before - now < (effort.tolerance * (before - effort.floor)).max(1.0) {
+            break;
+        }
+        // Iterations take off less and less.
+        let to_come = (effort.iterations - iteration - 1).min(MOST_TO_COME) as f64;
+        let hoped = |before: f64, now: f64| now - to_come * (before - now);
+        let closes_axis = parts
+            .iter()
+            .zip(descent.parts())
+            .zip(&first)
+            .any(|((&before, &now), &first)| hoped(before, now) < AN_AXIS * first);
+        if iteration >= 1 && hoped(before, now) > effort.worth && !closes_axis {
             break;
         }
     }

@@ -128,7 +128,8 @@ impl Search<'_> {
         // Few recordings may be where the best one does best.
         let there = (there - few.noise).max(OF_WHOLE * left_by_best);
         let open = (line.of_best * there).max(line.of_gap * few.gap);
-        let effort = Effort { floor: few.noise, hopeless: few.noise + open, ..effort };
+        let effort =
+            Effort { floor: few.noise, hopeless: few.noise + open, worth: f64::INFINITY, ..effort };
         let base = Some(&few.base);
         let fit = fit(self.scene, self.nominal, knobs, start.to_vec(), effort, base, &include)?;
         let left = fit.cost - few.noise;

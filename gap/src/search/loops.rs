@@ -40,6 +40,8 @@ const AS_LITTLE: f64 = 1.1;
 const AS_FURTHER: f64 = 1.5;
 /// ... or this share of the gap.
 const NEXT_TO_NOTHING: f64 = 0.003;
+/// ... that it leaves at most before others are tried in the place of those beside it.
+const LESS: f64 = 0.8;
 /// Multiple of what a plain model leaves that a loop of any law may leave to be looked into.
 const NEAR: f64 = 2.0;
 /// Share of the gap that a model leaves at most whose loop is let go although another one was chosen.
@@ -113,7 +115,9 @@ impl Search<'_> {
         for (axes, bound) in bound {
             let terms = start_terms(&bound).into_iter();
             let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = terms.unzip();
-            let effort = Effort { iterations: ITERATIONS, hopeless: enough, ..self.effort() };
+            let worth = enough.min(self.noise + self.line_of_loop(&bound, plain.as_ref()));
+            let effort =
+                Effort { iterations: ITERATIONS, hopeless: enough, worth, ..self.effort() };
             let mut freed = self.fit_model(terms.clone(), start.concat(), effort)?;
             if freed.fit.cost > STUCK * bound.fit.cost {
                 freed = self.fit_model(terms, given_way(&bound), effort)?;
@@ -149,12 +153,33 @@ impl Search<'_> {
         has_loop && !model.terms.iter().any(bends) && left < CLOSED * self.gap
     }
 
+    /// What a loop of any law may leave, by itself, beside a plain model of several effects to be looked into.
+    fn near(&self, plain: &Model) -> f64 {
+        NEAR * (plain.fit.cost - self.noise).max(NEXT_TO_NOTHING * self.gap)
+    }
+
+    /// What a loop of any law, let go from `bound`, has to come to for anything to follow from it: less than the bound one leaves, and
+    /// near to what a plain model of several effects does that leaves no room for others beside it, or, with as many effects, much less.
+    fn line_of_loop(&self, bound: &Model, plain: Option<&Model>) -> f64 {
+        let left = |m: &Model| (m.fit.cost - self.noise).max(0.0);
+        let is_several = |m: &&Model| m.terms.len() > 1 && left(m) < CLOSED * self.gap;
+        let Some(plain) = plain.filter(is_several) else { return left(bound) };
+        if bound.terms.len() >= plain.terms.len() && !plain.key().contains(&FRICTION) {
+            MUCH_LESS * left(plain)
+        } else {
+            self.near(plain)
+        }
+    }
+
     /// Whether a loop of any law may yet take the place of a plain model of several effects that accounts for all but its form. By itself, or
     /// beside what that has besides loops and friction, it has to come near: then only are others tried beside it.
     fn holds_up(&mut self, freed: &Model, plain: Option<&Model>) -> Result<bool, Error> {
         let left = |m: &Model| (m.fit.cost - self.noise).max(0.0);
         let Some(plain) = plain.filter(|m| m.terms.len() > 1) else { return Ok(true) };
-        let line = NEAR * left(plain).max(NEXT_TO_NOTHING * self.gap);
+        if left(plain) < CLOSED * self.gap {
+            return Ok(left(freed) < self.line_of_loop(freed, Some(plain)));
+        }
+        let line = self.near(plain);
         if left(plain) > FORM_OF_ONE * self.gap || left(freed) < line {
             return Ok(true);
         }
@@ -162,15 +187,16 @@ impl Search<'_> {
         let mut others = plain.part(|term, _| ![LOOP, FRICTION].contains(&term.name()));
         others.retain(|(term, _)| !has_company.contains(&term.name()));
         let size = freed.terms.len() + others.len();
-        if others.is_empty() || size > MOST_EFFECTS || left(plain) < CLOSED * self.gap {
+        if others.is_empty() || size > MOST_EFFECTS {
             return Ok(false);
         }
         // With one effect more it has to leave much less in the end.
-        let line = if size > plain.terms.len() { left(plain) } else { line };
+        let line = if size > plain.terms.len() { LESS * left(plain) } else { line };
         let mut all = start_terms(freed);
         join_terms(&mut all, others);
         let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = all.into_iter().unzip();
-        let effort = Effort { hopeless: self.noise + line, ..self.effort() };
+        let worth = self.noise + line;
+        let effort = Effort { hopeless: worth, worth, ..self.effort() };
         let beside = self.fit_model(terms, start.concat(), effort)?;
         let holds_up = left(&beside) < line;
         self.remember(beside);

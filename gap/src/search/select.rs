@@ -341,7 +341,11 @@ impl<'a> Search<'a> {
         } else {
             best.max(self.noise + 0.02 * self.gap) + 0.05 * (best - self.noise).max(0.0)
         };
-        let effort = Effort { iterations: 8, tolerance: 2.0e-2, hopeless, ..self.effort() };
+        let further = self.tried.first().filter(|first| terms.len() > first.terms.len());
+        let worth = further.map_or(f64::INFINITY, |first| {
+            first.fit.cost - self.worth_of_further(first.fit.cost - self.noise)
+        });
+        let effort = Effort { iterations: 8, tolerance: 2.0e-2, hopeless, worth, ..self.effort() };
         let line = if known.is_empty() { Line::ALONE } else { Line::BESIDE };
         if let Some(values) = self.hopeless_on_few(&terms, &start, effort, line)? {
             return self.fit_model(terms, values, Effort { iterations: 0, ..effort });

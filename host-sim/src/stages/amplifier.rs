@@ -200,6 +200,32 @@ impl AmplifierSim {
         self.advance_in_parts(target_v, load, time_s)
     }
 
+    /// `advance` by several steps at once, at whose end it is `time_s(0)`, and `time_s(k)` k steps earlier.
+    #[inline]
+    pub fn advance_by(
+        &mut self,
+        steps: usize,
+        target_v: f64,
+        load: Load,
+        time_s: impl Fn(usize) -> f64,
+    ) -> f64 {
+        if steps == 1 {
+            return self.advance(target_v, load, time_s(0));
+        }
+        if self.plain {
+            // It goes one way: within the rails in the end is within them throughout.
+            let v = target_v + (self.state_v - target_v) * self.late.decay.powi(steps as i32);
+            self.state_v = clamp(v, self.min_v, self.max_v);
+            return self.state_v;
+        }
+        (0..steps).rev().fold(0.0, |_, later| self.advance(target_v, load, time_s(later)))
+    }
+
+    /// Ticks that a command takes on its way through the dead time at most, of `substeps` steps each.
+    pub fn ticks_of_delay(&self, substeps: usize) -> usize {
+        if self.plain { 0 } else { self.whole_ticks.div_ceil(substeps) + 1 }
+    }
+
     /// With dead time, slew limit or something at the input or the output.
     #[inline(never)]
     fn advance_in_parts(&mut self, target_v: f64, load: Load, time_s: f64) -> f64 {

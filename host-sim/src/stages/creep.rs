@@ -58,6 +58,13 @@ impl CreepSim {
         self.strains.is_empty()
     }
 
+    /// Take over the states of the same strains in other steps.
+    pub fn take_over(&mut self, other: &Self) {
+        for (own, other) in self.strains.iter_mut().zip(&other.strains) {
+            own.state_v = other.state_v;
+        }
+    }
+
     /// Sum of the final shares, 1.
     pub fn shares(&self) -> f64 {
         self.shares

@@ -1,8 +1,11 @@
 //! Axes that springs tie together, solved together; an axis on its own is a group of one.
 
+use std::ops::Range;
+
 use super::axis::AxisSim;
 use super::mechanism::substeps;
 use super::model::{AxisModel, CouplingSpring};
+use super::pace::Pace;
 use crate::rig::MAX_AXES;
 use crate::start::Initial;
 
@@ -47,7 +50,7 @@ impl Group {
         }
         let build = |(members, models): (Vec<usize>, Vec<AxisModel>)| {
             let substeps = models.iter().map(|axis| substeps(axis, step_s)).max().unwrap_or(1);
-            let sim = |axis| AxisSim::new(axis, step_s / substeps as f64);
+            let sim = |axis| AxisSim::new(axis, step_s, substeps);
             let axes = models.into_iter().map(sim).collect();
             Group { members, axes, springs: Vec::new(), step_s, substeps }
         };
@@ -116,13 +119,51 @@ impl Group {
         time_s: impl Fn(usize) -> f64,
         mut reached: impl FnMut(usize, f64, f64),
     ) {
-        let (member, substeps) = (self.members[0], self.substeps);
-        let part_s = self.step_s / substeps as f64;
+        if self.substeps == 1 {
+            self.stretch(0..ticks, self.substeps, &command, &output, &time_s, &mut reached);
+            return;
+        }
+        let member = self.members[0];
+        let asked = |axis: &AxisSim, tick: usize| {
+            let target = || axis.amplifier.target_v(member, |other| command(tick, other));
+            output(tick, member).unwrap_or_else(target)
+        };
+        let mut pace = Pace::new(&self.axes[0], self.substeps);
+        let mut done = 0;
+        while done < ticks {
+            let stretch = done..ticks.min(done + Pace::STRETCH);
+            let is_calm = pace.is_calm(stretch.clone().map(|tick| asked(&self.axes[0], tick)));
+            self.axes[0].set_calm(is_calm);
+            let substeps = if is_calm { 1 } else { self.substeps };
+            done = stretch.end;
+            self.stretch(stretch, substeps, &command, &output, &time_s, &mut |tick, x, v| {
+                pace.saw(x, v);
+                reached(tick, x, v);
+            });
+        }
+        self.axes[0].set_calm(false);
+    }
+
+    /// Some ticks of [`follow`](Self::follow), in so many sub-steps each.
+    #[inline]
+    fn stretch(
+        &mut self,
+        stretch: Range<usize>,
+        substeps: usize,
+        command: &impl Fn(usize, usize) -> f64,
+        output: &impl Fn(usize, usize) -> Option<f64>,
+        time_s: &impl Fn(usize) -> f64,
+        reached: &mut impl FnMut(usize, f64, f64),
+    ) {
+        let member = self.members[0];
+        // The amplifier always goes in its own sub-steps.
+        let within = self.substeps / substeps;
+        let part_s = self.step_s / self.substeps as f64;
         // Sub-steps left after this one, and the tick that they belong to.
-        let (mut tick, mut left) = (0, substeps);
+        let (mut tick, mut left) = (stretch.start, substeps);
         let mut ended = 0;
         self.axes[0].follow(
-            ticks * substeps,
+            stretch.len() * substeps,
             |amplifier, before_v, load| {
                 left -= 1;
                 let voltage = match output(tick, member) {
@@ -130,7 +171,9 @@ impl Group {
                     Some(end_v) => before_v + (end_v - before_v) / (left + 1) as f64,
                     None => {
                         let target = amplifier.target_v(member, |axis| command(tick, axis));
-                        amplifier.advance(target, load, time_s(tick) - left as f64 * part_s)
+                        let end_s = time_s(tick) - left as f64 * part_s;
+                        amplifier
+                            .advance_by(within, target, load, |later| end_s - later as f64 * part_s)
                     }
                 };
                 if left == 0 {
@@ -141,7 +184,7 @@ impl Group {
             },
             |substep, position_m, output_v| {
                 if substep + 1 == (ended + 1) * substeps {
-                    reached(ended, position_m, output_v);
+                    reached(stretch.start + ended, position_m, output_v);
                     ended += 1;
                 }
             },
@@ -170,7 +213,8 @@ impl Group {
         }
         if self.is_alone() {
             let command = |_: usize, axis: usize| command(axis);
-            self.follow(1, command, |_, axis| output(axis), |_| time_s, |_, _, _| {});
+            let output = |_: usize, axis: usize| output(axis);
+            self.stretch(0..1, self.substeps, &command, &output, &|_| time_s, &mut |_, _, _| {});
             return;
         }
         if self.substeps == 1 {

@@ -167,6 +167,11 @@ impl LinearMechanism {
         [self.state[0], self.state[1]]
     }
 
+    /// Take over the state of the same mechanism in other steps.
+    pub fn take_over(&mut self, other: &Self) {
+        self.state = other.state;
+    }
+
     /// Put a mechanism of these two states alone somewhere.
     #[inline]
     pub fn set_motion(&mut self, motion: [f64; 2]) {

@@ -12,5 +12,6 @@ pub mod group;
 pub mod hysteresis;
 pub mod mechanism;
 pub mod model;
+mod pace;
 pub mod sensor;
 pub(crate) mod speed;

@@ -42,6 +42,9 @@ pub struct AxisSim {
     levels_per_slope: f64,
     free_elastance: f64,
     ticks: Vec<alone::Tick>,
+    /// What a whole tick does, where it is not the step already; while calm, what a sub-step does.
+    other: Option<Box<Steps>>,
+    is_calm: bool,
     // State at the start of the tick.
     output_v: f64,
     transducer_v: f64,
@@ -60,6 +63,32 @@ pub struct AxisSim {
     next_transducer_v: f64,
     next_position_m: f64,
     next_force_n: f64,
+}
+
+/// What depends on the length of a step.
+struct Steps {
+    mechanism: LinearMechanism,
+    creep: CreepSim,
+    ticks: Vec<alone::Tick>,
+    linear_v_per_c: f64,
+    step_s: f64,
+}
+
+impl Steps {
+    /// Of `step_s`; `added`: levels of [`stiffening`].
+    fn new(model: &AxisModel, step_s: f64, added: &[f64]) -> Self {
+        let shape_s = model.amplifier.time_constant_s;
+        let mechanism = LinearMechanism::new(model, step_s, shape_s, added);
+        let piezo = &model.piezo;
+        let creep = CreepSim::new(&piezo.creep, step_s);
+        let ticks = alone::ticks(
+            &mechanism,
+            piezo.transformer_n_per_v,
+            piezo.capacitance_f,
+            1.0 + creep.per_volt(),
+        );
+        Self { mechanism, creep, ticks, linear_v_per_c: piezo.resistance_ohm / step_s, step_s }
+    }
 }
 
 /// Loss in series with the elements, as the voltage that a coulomb drawn in one tick meets, V/C.
@@ -113,24 +142,21 @@ fn stiffening(model: &AxisModel) -> Vec<f64> {
 }
 
 impl AxisSim {
-    /// Build from a model, which gives up its blocks, for a tick of `step_s`.
-    pub fn new(model: AxisModel, step_s: f64) -> Self {
-        let shape_s = model.amplifier.time_constant_s;
+    /// Build from a model, which gives up its blocks, for ticks of `tick_s` in so many sub-steps.
+    pub fn new(model: AxisModel, tick_s: f64, substeps: usize) -> Self {
+        let step_s = tick_s / substeps as f64;
         let added = stiffening(&model);
-        let mechanism = LinearMechanism::new(&model, step_s, shape_s, &added);
+        let Steps { mechanism, creep, ticks, linear_v_per_c, .. } =
+            Steps::new(&model, step_s, &added);
+        let other = (substeps > 1).then(|| Box::new(Steps::new(&model, tick_s, &added)));
         let piezo = model.piezo;
         let all_slopes: f64 = piezo.slopes_v_per_c.iter().sum();
         let top = (added.len() - 1) as f64;
-        let creep = CreepSim::new(&piezo.creep, step_s);
-        let ticks = alone::ticks(
-            &mechanism,
-            piezo.transformer_n_per_v,
-            piezo.capacitance_f,
-            1.0 + creep.per_volt(),
-        );
         let square = piezo.transformer_n_per_v * piezo.transformer_n_per_v;
         Self {
             ticks,
+            other,
+            is_calm: false,
             free_elastance: 1.0 / (piezo.capacitance_f + square * mechanism.compliance_m_per_n()),
             level: 0,
             levels_per_slope: if all_slopes > 0.0 { top / all_slopes } else { 0.0 },
@@ -146,11 +172,7 @@ impl AxisSim {
             rate: piezo.rate,
             transformer: piezo.transformer_n_per_v,
             capacitance: piezo.capacitance_f,
-            drag: Drag {
-                linear_v_per_c: piezo.resistance_ohm / step_s,
-                exponent: piezo.loss_exponent,
-                v_per_c: piezo.resistance_ohm / step_s,
-            },
+            drag: Drag { linear_v_per_c, exponent: piezo.loss_exponent, v_per_c: linear_v_per_c },
             strain_loss: piezo
                 .strain_loss
                 .map(|loss| StrainLossSim::new(loss, piezo.transformer_n_per_v, step_s)),
@@ -173,6 +195,22 @@ impl AxisSim {
             next_position_m: 0.0,
             next_force_n: 0.0,
         }
+    }
+
+    /// Go on in whole ticks, or in sub-steps again: only for an axis that [`goes_alone`](Self::goes_alone).
+    pub fn set_calm(&mut self, is_calm: bool) {
+        let Some(other) = self.other.as_deref_mut().filter(|_| self.is_calm != is_calm) else {
+            return;
+        };
+        self.is_calm = is_calm;
+        other.mechanism.take_over(&self.mechanism);
+        other.creep.take_over(&self.creep);
+        std::mem::swap(&mut self.mechanism, &mut other.mechanism);
+        std::mem::swap(&mut self.creep, &mut other.creep);
+        std::mem::swap(&mut self.ticks, &mut other.ticks);
+        std::mem::swap(&mut self.step_s, &mut other.step_s);
+        std::mem::swap(&mut self.drag.linear_v_per_c, &mut other.linear_v_per_c);
+        self.drag.v_per_c = self.drag.linear_v_per_c;
     }
 
     /// Come to rest at an initial state, with `target_v` asked of the amplifier; `output_v` overrides its output.
