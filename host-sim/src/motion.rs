@@ -73,7 +73,7 @@ pub fn move_axes(rig: &Rig, input: &Input, axes: Axes) -> Result<Motion, SimErro
     // What a sensor block holds is not needed here.
     SensorSim::new(&mut model.axes, None);
     let mut motion: Motion = vec![None; rig.axes.len()];
-    for mut group in Group::split(model.axes, &model.springs, step_s) {
+    for mut group in Group::split(model.axes, &model.springs, step_s, true) {
         if group.members.iter().any(|&axis| axes.contains(axis)) {
             move_group(&mut group, input, &mut motion);
         }

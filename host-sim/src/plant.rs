@@ -120,7 +120,7 @@ impl Plant {
         let step_s = 1.0 / rate;
         let mut model = Model::new(rig, step_s);
         let sensors = SensorSim::new(&mut model.axes, model.output_map.take());
-        let groups = Group::split(model.axes, &model.springs, step_s);
+        let groups = Group::split(model.axes, &model.springs, step_s, false);
         let n = rig.axes.len();
         let mut place = vec![(0, 0); n];
         for (group, members) in groups.iter().map(|group| &group.members).enumerate() {

@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::axis::AxisSim;
 use super::mechanism::substeps;
 use super::model::{AxisModel, CouplingSpring};
-use super::pace::Pace;
+use super::pace::{self, LEAP, Pace};
 use crate::rig::MAX_AXES;
 use crate::start::Initial;
 
@@ -13,6 +13,9 @@ use crate::start::Initial;
 const TOLERANCE_M: f64 = 1.0e-15;
 /// Sweeps over the group at most; each gains the ratio of coupling to own stiffness, squared.
 const MAX_SWEEPS: usize = 100;
+
+/// Change of the amplifier's output in a leap below which it rests, V.
+const LEAST_V: f64 = 1.0e-6;
 
 /// A group of axes with the springs between them.
 pub struct Group {
@@ -25,8 +28,14 @@ pub struct Group {
 }
 
 impl Group {
-    /// Build the axes of a rig for ticks of `step_s`, in groups by the springs between them.
-    pub fn split(axes: Vec<AxisModel>, springs: &[CouplingSpring], step_s: f64) -> Vec<Group> {
+    /// Build the axes of a rig for ticks of `step_s`, in groups by the springs between them; `leaps`: their commands are known ahead, and
+    /// [`follow`](Self::follow) may take several calm ticks at once.
+    pub fn split(
+        axes: Vec<AxisModel>,
+        springs: &[CouplingSpring],
+        step_s: f64,
+        leaps: bool,
+    ) -> Vec<Group> {
         let mut label: Vec<usize> = (0..axes.len()).collect();
         for spring in springs {
             let (a, b) = (label[spring.axes.0], label[spring.axes.1]);
@@ -50,7 +59,8 @@ impl Group {
         }
         let build = |(members, models): (Vec<usize>, Vec<AxisModel>)| {
             let substeps = models.iter().map(|axis| substeps(axis, step_s)).max().unwrap_or(1);
-            let sim = |axis| AxisSim::new(axis, step_s, substeps);
+            let leap = (leaps && models.len() == 1).then(|| pace::leap(substeps));
+            let sim = |axis| AxisSim::new(axis, step_s, substeps, leap);
             let axes = models.into_iter().map(sim).collect();
             Group { members, axes, springs: Vec::new(), step_s, substeps }
         };
@@ -119,46 +129,101 @@ impl Group {
         time_s: impl Fn(usize) -> f64,
         mut reached: impl FnMut(usize, f64, f64),
     ) {
-        if self.substeps == 1 {
-            self.stretch(0..ticks, self.substeps, &command, &output, &time_s, &mut reached);
+        let Some(most) = self.axes[0].leap() else {
+            self.stretch(0..ticks, &command, &output, &time_s, &mut reached);
             return;
-        }
-        let member = self.members[0];
-        let asked = |axis: &AxisSim, tick: usize| {
-            let target = || axis.amplifier.target_v(member, |other| command(tick, other));
-            output(tick, member).unwrap_or_else(target)
         };
+        let member = self.members[0];
         let mut pace = Pace::new(&self.axes[0], self.substeps);
         let mut done = 0;
         while done < ticks {
-            let stretch = done..ticks.min(done + Pace::STRETCH);
-            let is_calm = pace.is_calm(stretch.clone().map(|tick| asked(&self.axes[0], tick)));
-            self.axes[0].set_calm(is_calm);
-            let substeps = if is_calm { 1 } else { self.substeps };
-            done = stretch.end;
-            self.stretch(stretch, substeps, &command, &output, &time_s, &mut |tick, x, v| {
-                pace.saw(x, v);
-                reached(tick, x, v);
-            });
+            let part = done..ticks.min(done + most.max(pace::LEAST_STEPS));
+            let axis = &self.axes[0];
+            let asked = |tick: usize| {
+                let target = || axis.amplifier.target_v(member, |other| command(tick, other));
+                output(tick, member).unwrap_or_else(target)
+            };
+            let is_calm = pace.is_calm(part.clone().map(asked)) && part.len() >= most;
+            done = part.end;
+            if is_calm {
+                for start in part.step_by(most) {
+                    self.leap(start, most, &command, &output, &time_s, &mut |tick, x, v| {
+                        pace.saw(x, v);
+                        reached(tick, x, v);
+                    });
+                }
+            } else {
+                self.stretch(part, &command, &output, &time_s, &mut |tick, x, v| {
+                    pace.saw(x, v);
+                    reached(tick, x, v);
+                });
+            }
         }
-        self.axes[0].set_calm(false);
+        self.axes[0].set_leaping(false);
     }
 
-    /// Some ticks of [`follow`](Self::follow), in so many sub-steps each.
+    /// So many ticks from `start` on in one step, if the amplifier goes one way in them, and one by one otherwise.
     #[inline]
-    fn stretch(
+    fn leap(
         &mut self,
-        stretch: Range<usize>,
-        substeps: usize,
+        start: usize,
+        ticks: usize,
         command: &impl Fn(usize, usize) -> f64,
         output: &impl Fn(usize, usize) -> Option<f64>,
         time_s: &impl Fn(usize) -> f64,
         reached: &mut impl FnMut(usize, f64, f64),
     ) {
-        let member = self.members[0];
-        // The amplifier always goes in its own sub-steps.
-        let within = self.substeps / substeps;
-        let part_s = self.step_s / self.substeps as f64;
+        let (member, substeps) = (self.members[0], self.substeps);
+        let part_s = self.step_s / substeps as f64;
+        let axis = &mut self.axes[0];
+        let (before_v, load) = (axis.output_v(), axis.load());
+        let mut volts = [0.0; LEAP];
+        let volts = &mut volts[..ticks];
+        for (tick, v) in (start..).zip(volts.iter_mut()) {
+            *v = output(tick, member).unwrap_or_else(|| {
+                let target = axis.amplifier.target_v(member, |other| command(tick, other));
+                let sooner = |steps: usize| time_s(tick) - steps as f64 * part_s;
+                axis.amplifier.advance_by(substeps, target, load, sooner)
+            });
+        }
+        if !pace::is_one_way(before_v, volts) {
+            let known = |tick: usize, _: usize| Some(volts[tick - start]);
+            self.stretch(start..start + ticks, command, &known, time_s, reached);
+            return;
+        }
+        let end_v = volts[ticks - 1];
+        axis.set_leaping(true);
+        let from_m = axis.position_m();
+        let mut to_m = from_m;
+        axis.follow(1, |_, _, _| end_v, |_, position_m, _| to_m = position_m);
+        // In between the axis goes with the voltage, and where that rests, with time.
+        let whole_v = end_v - before_v;
+        let by_voltage = whole_v.abs() > LEAST_V;
+        for (k, &v) in volts.iter().enumerate() {
+            let gone = if k + 1 == ticks {
+                1.0
+            } else if by_voltage {
+                (v - before_v) / whole_v
+            } else {
+                (k + 1) as f64 / ticks as f64
+            };
+            reached(start + k, from_m + gone * (to_m - from_m), v);
+        }
+    }
+
+    /// Some ticks of [`follow`](Self::follow), one by one.
+    #[inline]
+    fn stretch(
+        &mut self,
+        stretch: Range<usize>,
+        command: &impl Fn(usize, usize) -> f64,
+        output: &impl Fn(usize, usize) -> Option<f64>,
+        time_s: &impl Fn(usize) -> f64,
+        reached: &mut impl FnMut(usize, f64, f64),
+    ) {
+        self.axes[0].set_leaping(false);
+        let (member, substeps) = (self.members[0], self.substeps);
+        let part_s = self.step_s / substeps as f64;
         // Sub-steps left after this one, and the tick that they belong to.
         let (mut tick, mut left) = (stretch.start, substeps);
         let mut ended = 0;
@@ -171,9 +236,7 @@ impl Group {
                     Some(end_v) => before_v + (end_v - before_v) / (left + 1) as f64,
                     None => {
                         let target = amplifier.target_v(member, |axis| command(tick, axis));
-                        let end_s = time_s(tick) - left as f64 * part_s;
-                        amplifier
-                            .advance_by(within, target, load, |later| end_s - later as f64 * part_s)
+                        amplifier.advance(target, load, time_s(tick) - left as f64 * part_s)
                     }
                 };
                 if left == 0 {
@@ -214,7 +277,7 @@ impl Group {
         if self.is_alone() {
             let command = |_: usize, axis: usize| command(axis);
             let output = |_: usize, axis: usize| output(axis);
-            self.stretch(0..1, self.substeps, &command, &output, &|_| time_s, &mut |_, _, _| {});
+            self.stretch(0..1, &command, &output, &|_| time_s, &mut |_, _, _| {});
             return;
         }
         if self.substeps == 1 {

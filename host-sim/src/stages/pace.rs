@@ -1,19 +1,43 @@
-//! When a heavy axis may go in whole ticks.
+//! When an axis may take several ticks at once.
 //!
-//! A mechanism with mass is followed in sub-steps, so that the hysteresis sees how it swings. Where it does not swing and is not
-//! driven fast there is nothing to see, and that is most of the time: half a minute of holding at 1 kHz would take 32 sub-steps a tick.
-//! The mechanism itself is exact in any step; what the hysteresis makes of the way there is off by a thousandth of how far it
-//! swings in a tick (90 V squares on 0.45 kg, 1.7 kHz, in whole ticks instead of 64 sub-steps: 3.6 nm rms of swings of micrometres;
-//! triangles of 60 V at 20 Hz, 0.24 V a tick: 0.03 nm).
+//! Most of a session is slow: triangles of a hertz, half a minute of holding. There an axis follows its amplifier, and four ticks in
+//! one step come to where four steps do: the mechanism is exact in any step, and the charge has one answer as long as the voltage goes
+//! one way. Ticks in between go with the voltage. A heavy mechanism swings, and is followed in sub-steps so that the hysteresis sees it: that
+//! goes in whole ticks where it hardly does, and half a minute of holding at 1 kHz no longer takes 32 sub-steps a tick.
+//!
+//! The amplifier goes through every tick in any case. What this costs in accuracy, over the effects of the catalogue: `tests/leaps.rs`.
 
 use super::axis::AxisSim;
 
+/// Most ticks taken at once.
+pub const LEAP: usize = 4;
+/// Ticks that are decided upon together.
+pub const LEAST_STEPS: usize = 4;
+
+/// Ticks that an axis takes at once which goes in so many sub-steps otherwise.
+pub fn leap(substeps: usize) -> usize {
+    if substeps > 1 { 1 } else { LEAP }
+}
+
 /// Change of the voltage in a tick up to which an axis is calm, V.
-const CALM_V: f64 = 0.3;
+const CALM_V: f64 = 0.1;
 /// Travel in a tick up to which it is calm, m.
-const CALM_M: f64 = 30.0e-9;
+const CALM_M: f64 = 12.0e-9;
 /// Ticks that it has to have been calm for.
 const PATIENCE: usize = 16;
+
+/// Whether the voltage goes one way, in calm steps.
+pub fn is_one_way(before_v: f64, volts: &[f64]) -> bool {
+    let (mut last, mut rises, mut falls, mut is_calm) = (before_v, false, false, true);
+    for &v in volts {
+        let step = v - last;
+        rises |= step > 0.0;
+        falls |= step < 0.0;
+        is_calm &= step.abs() <= CALM_V;
+        last = v;
+    }
+    is_calm && !(rises && falls)
+}
 
 /// Watches one axis.
 pub struct Pace {
@@ -25,9 +49,6 @@ pub struct Pace {
 }
 
 impl Pace {
-    /// Ticks that are decided upon together.
-    pub const STRETCH: usize = 8;
-
     /// Of an axis as it is, which goes in so many sub-steps.
     pub fn new(axis: &AxisSim, substeps: usize) -> Self {
         Self {
@@ -40,7 +61,8 @@ impl Pace {
         }
     }
 
-    /// Whether the ticks to come, at which these voltages are asked for, may be taken whole.
+    /// Whether the ticks to come, at which these voltages are asked for, may be taken at once.
+    #[inline]
     pub fn is_calm(&mut self, asked_v: impl Iterator<Item = f64>) -> bool {
         for asked in asked_v {
             // Before the first one there is none, and no calm.

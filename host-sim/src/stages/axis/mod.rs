@@ -42,9 +42,10 @@ pub struct AxisSim {
     levels_per_slope: f64,
     free_elastance: f64,
     ticks: Vec<alone::Tick>,
-    /// What a whole tick does, where it is not the step already; while calm, what a sub-step does.
+    /// What a leap of several ticks does; while leaping, what a step does.
     other: Option<Box<Steps>>,
-    is_calm: bool,
+    leap: Option<usize>,
+    is_leaping: bool,
     // State at the start of the tick.
     output_v: f64,
     transducer_v: f64,
@@ -75,9 +76,8 @@ struct Steps {
 }
 
 impl Steps {
-    /// Of `step_s`; `added`: levels of [`stiffening`].
-    fn new(model: &AxisModel, step_s: f64, added: &[f64]) -> Self {
-        let shape_s = model.amplifier.time_constant_s;
+    /// Of `step_s`, in which the force goes as with a time constant of `shape_s`; `added`: levels of [`stiffening`].
+    fn new(model: &AxisModel, step_s: f64, shape_s: f64, added: &[f64]) -> Self {
         let mechanism = LinearMechanism::new(model, step_s, shape_s, added);
         let piezo = &model.piezo;
         let creep = CreepSim::new(&piezo.creep, step_s);
@@ -142,13 +142,20 @@ fn stiffening(model: &AxisModel) -> Vec<f64> {
 }
 
 impl AxisSim {
-    /// Build from a model, which gives up its blocks, for ticks of `tick_s` in so many sub-steps.
-    pub fn new(model: AxisModel, tick_s: f64, substeps: usize) -> Self {
+    /// Build from a model, which gives up its blocks, for ticks of `tick_s` in so many sub-steps, and for leaps of so many ticks.
+    pub fn new(model: AxisModel, tick_s: f64, substeps: usize, leap: Option<usize>) -> Self {
         let step_s = tick_s / substeps as f64;
         let added = stiffening(&model);
+        let shape_s = model.amplifier.time_constant_s;
         let Steps { mechanism, creep, ticks, linear_v_per_c, .. } =
-            Steps::new(&model, step_s, &added);
-        let other = (substeps > 1).then(|| Box::new(Steps::new(&model, tick_s, &added)));
+            Steps::new(&model, step_s, shape_s, &added);
+        let goes_alone = model.mechanism.forces.is_empty() && model.piezo.strain_loss.is_none();
+        let leap = leap.filter(|_| goes_alone);
+        // Over several calm ticks an amplifier goes straight.
+        let other = leap.map(|ticks| {
+            let shape_s = if ticks > 1 { f64::INFINITY } else { shape_s };
+            Box::new(Steps::new(&model, ticks as f64 * tick_s, shape_s, &added))
+        });
         let piezo = model.piezo;
         let all_slopes: f64 = piezo.slopes_v_per_c.iter().sum();
         let top = (added.len() - 1) as f64;
@@ -156,7 +163,8 @@ impl AxisSim {
         Self {
             ticks,
             other,
-            is_calm: false,
+            leap,
+            is_leaping: false,
             free_elastance: 1.0 / (piezo.capacitance_f + square * mechanism.compliance_m_per_n()),
             level: 0,
             levels_per_slope: if all_slopes > 0.0 { top / all_slopes } else { 0.0 },
@@ -197,12 +205,20 @@ impl AxisSim {
         }
     }
 
-    /// Go on in whole ticks, or in sub-steps again: only for an axis that [`goes_alone`](Self::goes_alone).
-    pub fn set_calm(&mut self, is_calm: bool) {
-        let Some(other) = self.other.as_deref_mut().filter(|_| self.is_calm != is_calm) else {
+    /// Ticks that it can leap, if it can.
+    #[inline]
+    pub fn leap(&self) -> Option<usize> {
+        self.leap
+    }
+
+    /// Go on in leaps, or in steps again.
+    #[inline]
+    pub fn set_leaping(&mut self, is_leaping: bool) {
+        if self.is_leaping == is_leaping {
             return;
-        };
-        self.is_calm = is_calm;
+        }
+        let Some(other) = self.other.as_deref_mut() else { return };
+        self.is_leaping = is_leaping;
         other.mechanism.take_over(&self.mechanism);
         other.creep.take_over(&self.creep);
         std::mem::swap(&mut self.mechanism, &mut other.mechanism);
@@ -498,7 +514,7 @@ impl AxisSim {
     }
 
     /// What the stack shows the amplifier.
-    fn load(&self) -> Load {
+    pub fn load(&self) -> Load {
         Load {
             free_elastance: self.free_elastance,
             tangent_v_per_c: self.elements.tangent_v_per_c(),
