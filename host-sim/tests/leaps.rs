@@ -64,6 +64,10 @@ fn calm_ticks_taken_at_once_come_to_where_single_ones_do() {
         }
         rigs.push((info.name, rig));
     }
+    // What swings slowly goes tick by tick, or between the ticks of a leap it would be lost.
+    let mut heavy = nominal.clone();
+    heavy.set("inertia", Place::Axis(1), "added_kg", 30.0).unwrap();
+    rigs.push(("a heavy inertia", heavy));
     for (name, rig) in &rigs {
         let (rms_nm, worst_nm) = off_nm(rig, 1);
         eprintln!("{name}: {rms_nm:.4} nm rms, {worst_nm:.3} nm at worst");

@@ -59,8 +59,11 @@ impl Group {
         }
         let build = |(members, models): (Vec<usize>, Vec<AxisModel>)| {
             let substeps = models.iter().map(|axis| substeps(axis, step_s)).max().unwrap_or(1);
-            let leap = (leaps && models.len() == 1).then(|| pace::leap(substeps));
-            let sim = |axis| AxisSim::new(axis, step_s, substeps, leap);
+            let is_alone = leaps && models.len() == 1;
+            let sim = |axis| {
+                let leap = if is_alone { pace::leap(&axis, substeps) } else { None };
+                AxisSim::new(axis, step_s, substeps, leap)
+            };
             let axes = models.into_iter().map(sim).collect();
             Group { members, axes, springs: Vec::new(), step_s, substeps }
         };
@@ -112,10 +115,10 @@ impl Group {
         }
     }
 
-    /// Whether this is one axis that [`follow`](Self::follow) takes.
+    /// Whether this is one axis, which [`follow`](Self::follow) takes.
     #[inline]
     pub fn is_alone(&self) -> bool {
-        self.springs.is_empty() && self.axes.len() == 1 && self.axes[0].goes_alone()
+        self.springs.is_empty() && self.axes.len() == 1
     }
 
     /// `advance` through many ticks at once, for a group that is one axis alone: `command(tick, axis)`,

@@ -52,16 +52,19 @@ pub fn substeps(model: &AxisModel, step_s: f64) -> usize {
     if model.piezo.slopes_v_per_c.is_empty() && model.mechanism.forces.is_empty() {
         return 1;
     }
+    let wanted = (swings_at(model) * step_s / PHASE).ceil() as usize;
+    wanted.clamp(1, MAX_SUBSTEPS).next_power_of_two()
+}
+
+/// Fastest resolved mode of a mechanism, rad/s; 0 where none swings.
+pub fn swings_at(model: &AxisModel) -> f64 {
     let (a, _) = continuous(model);
-    let fastest = a
-        .complex_eigenvalues()
+    a.complex_eigenvalues()
         .iter()
         // By its natural frequency: a damper makes a fast mode swing slowly, but follow no slower.
         .filter(|mode| mode.norm() < RESOLVED_PER_S)
         .map(|mode| mode.im.abs())
-        .fold(0.0, f64::max);
-    let wanted = (fastest * step_s / PHASE).ceil() as usize;
-    wanted.clamp(1, MAX_SUBSTEPS).next_power_of_two()
+        .fold(0.0, f64::max)
 }
 
 /// Discrete linear mechanism of one axis with its state `[x, velocity, ...]`.

@@ -8,15 +8,17 @@
 //! The amplifier goes through every tick in any case. What this costs in accuracy, over the effects of the catalogue: `tests/leaps.rs`.
 
 use super::axis::AxisSim;
+use super::mechanism::swings_at;
+use super::model::AxisModel;
 
 /// Most ticks taken at once.
 pub const LEAP: usize = 4;
 /// Ticks that are decided upon together.
 pub const LEAST_STEPS: usize = 4;
 
-/// Ticks that an axis takes at once which goes in so many sub-steps otherwise.
-pub fn leap(substeps: usize) -> usize {
-    if substeps > 1 { 1 } else { LEAP }
+/// Ticks that an axis which goes in so many sub-steps may take at once, if it ever does. Between the ticks of a leap nothing may swing.
+pub fn leap(model: &AxisModel, substeps: usize) -> Option<usize> {
+    if substeps > 1 { Some(1) } else { (swings_at(model) == 0.0).then_some(LEAP) }
 }
 
 /// Change of the voltage in a tick up to which an axis is calm, V.

@@ -1,4 +1,4 @@
-//! The whole tick in one piece, for an axis that no spring ties to another one and no nonlinear force acts on: what
+//! Ticks of an axis that no spring ties to another one: the whole tick in one piece where no nonlinear force acts on it, which is what
 //! nearly every simulation runs. `begin`, `solve`, `commit` give the same numbers to rounding and serve the rest.
 
 use super::{AxisSim, Drag};
@@ -94,9 +94,9 @@ struct Parts<'a> {
 }
 
 impl AxisSim {
-    /// Whether [`follow`](Self::follow) does what `begin`, `solve` and `commit` do.
+    /// Whether a tick goes in one piece.
     #[inline]
-    pub fn goes_alone(&self) -> bool {
+    fn is_plain(&self) -> bool {
         self.forces.is_empty() && self.strain_loss.is_none()
     }
 
@@ -106,9 +106,20 @@ impl AxisSim {
     pub fn follow(
         &mut self,
         ticks: usize,
-        output: impl FnMut(&mut AmplifierSim, f64, Load) -> f64,
-        reached: impl FnMut(usize, f64, f64),
+        mut output: impl FnMut(&mut AmplifierSim, f64, Load) -> f64,
+        mut reached: impl FnMut(usize, f64, f64),
     ) {
+        if !self.is_plain() {
+            for tick in 0..ticks {
+                let (load, before_v) = (self.load(), self.output_v);
+                let input_v = output(&mut self.amplifier, before_v, load);
+                self.begin_at(input_v);
+                self.solve(0.0);
+                self.commit();
+                reached(tick, self.position_m(), input_v);
+            }
+            return;
+        }
         let two = self.mechanism.states() == 2;
         let parts = Parts {
             amplifier: &mut self.amplifier,

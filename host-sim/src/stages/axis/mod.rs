@@ -149,8 +149,8 @@ impl AxisSim {
         let shape_s = model.amplifier.time_constant_s;
         let Steps { mechanism, creep, ticks, linear_v_per_c, .. } =
             Steps::new(&model, step_s, shape_s, &added);
-        let goes_alone = model.mechanism.forces.is_empty() && model.piezo.strain_loss.is_none();
-        let leap = leap.filter(|_| goes_alone);
+        // A loss of strain goes by the ways of two steps of one length.
+        let leap = leap.filter(|_| model.piezo.strain_loss.is_none());
         // Over several calm ticks an amplifier goes straight.
         let other = leap.map(|ticks| {
             let shape_s = if ticks > 1 { f64::INFINITY } else { shape_s };
@@ -219,6 +219,8 @@ impl AxisSim {
         }
         let Some(other) = self.other.as_deref_mut() else { return };
         self.is_leaping = is_leaping;
+        let longer = other.step_s / self.step_s;
+        self.travels_m.iter_mut().for_each(|travel| *travel *= longer);
         other.mechanism.take_over(&self.mechanism);
         other.creep.take_over(&self.creep);
         std::mem::swap(&mut self.mechanism, &mut other.mechanism);
