@@ -18,8 +18,10 @@ use crate::session::spectra::{
 /// What the session offers to look at.
 #[derive(Debug, Clone)]
 pub struct Ranges {
-    /// Lowest and highest drive, V.
+    /// Lowest and highest drive where recordings are scored, V.
     pub drive_v: (f64, f64),
+    /// ... and where they settle as well: a clip that is met only there leaves another memory.
+    pub driven_v: (f64, f64),
     /// Lowest and highest simulated travel, m.
     pub travel_m: (f64, f64),
     /// Largest current that the nominal amplifier would have to source into the stack, A.
@@ -60,6 +62,7 @@ impl Ranges {
 /// Look at the session once.
 pub fn ranges(scene: &Scene, rig: &Rig, raw: &Stack) -> Result<Ranges, Error> {
     let mut drive = (f64::INFINITY, f64::NEG_INFINITY);
+    let mut driven = drive;
     let mut travel = (f64::INFINITY, f64::NEG_INFINITY);
     let mut current: f64 = 0.0;
     let mut rate_hz: f64 = 0.0;
@@ -74,6 +77,9 @@ pub fn ranges(scene: &Scene, rig: &Rig, raw: &Stack) -> Result<Ranges, Error> {
             let Some(position) = &track.position_um[axis] else { continue };
             for &v in &column[track.settle..] {
                 drive = (drive.0.min(v), drive.1.max(v));
+            }
+            for &v in column {
+                driven = (driven.0.min(v), driven.1.max(v));
             }
             for (&p, _) in position[track.settle..]
                 .iter()
@@ -103,6 +109,7 @@ pub fn ranges(scene: &Scene, rig: &Rig, raw: &Stack) -> Result<Ranges, Error> {
     };
     Ok(Ranges {
         drive_v: drive,
+        driven_v: driven,
         travel_m: travel,
         current_a: current,
         lines_hz: strongest(&positions, Kind::Position),
@@ -119,6 +126,9 @@ pub fn ranges(scene: &Scene, rig: &Rig, raw: &Stack) -> Result<Ranges, Error> {
         any_loop: false,
     })
 }
+
+/// Share of the whole drive beyond what is scored from which a clip is tried there.
+const ONLY_SETTLING: f64 = 0.02;
 
 /// Settings of an effect to screen, each a full set of parameter values.
 pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
@@ -148,6 +158,17 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             }
             for share in [0.006, 0.02, 0.06, 0.15, 0.3] {
                 wanted.push(with(&[("min_v", low + share * (high - low))]));
+            }
+            let (lowest, highest) = ranges.driven_v;
+            let beyond = |more: f64| more > ONLY_SETTLING * (highest - lowest);
+            for share in [0.01, 0.03, 0.1, 0.2] {
+                let inwards = share * (highest - lowest);
+                if beyond(highest - high) {
+                    wanted.push(with(&[("max_v", highest - inwards)]));
+                }
+                if beyond(low - lowest) {
+                    wanted.push(with(&[("min_v", lowest + inwards)]));
+                }
             }
         }
         "amplifier-current-limit" => {

@@ -21,6 +21,8 @@ use crate::session::pyramid::{Levels, low_pass, share_kept, transform};
 /// Share of the nominal gap of a band that a correct effect of another form may leave.
 pub const TOLERANCE: f64 = 0.05;
 const METRES_TO_UM: f64 = 1.0e6;
+/// Until then an amplifier is where the recording began, s.
+const AMPLIFIER_SETTLES_S: f64 = 0.05;
 
 /// One measured quantity of one axis in one recording.
 #[derive(Debug, Clone)]
@@ -109,14 +111,15 @@ impl Scene {
                     (Kind::Monitor, &track.monitor_v[axis], &monitor_noise[axis]),
                 ] {
                     let (Some(_), Some(noise)) = (column, noise) else { continue };
-                    channels.push(Channel::new(
-                        index,
-                        track,
-                        axis,
-                        kind,
-                        noise.sigma,
-                        track.settle..track.len(),
-                    ));
+                    // What an amplifier does while the stack comes to a known memory says as much of it as later.
+                    let from = match kind {
+                        Kind::Position => track.settle,
+                        Kind::Monitor => {
+                            track.settle.min((AMPLIFIER_SETTLES_S * track.rate_hz) as usize)
+                        }
+                    };
+                    let range = from..track.len();
+                    channels.push(Channel::new(index, track, axis, kind, noise.sigma, range));
                 }
             }
         }
