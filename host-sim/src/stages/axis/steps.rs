@@ -1,0 +1,81 @@
+//! What of an axis depends on the length of a step: an axis that is calm goes on in longer ones (see [`crate::stages::pace`]).
+
+use super::alone;
+use crate::stages::creep::CreepSim;
+use crate::stages::mechanism::LinearMechanism;
+use crate::stages::model::{AxisModel, LOSS_AT_A};
+
+/// What depends on the length of a step.
+pub(super) struct Steps {
+    pub(super) mechanism: LinearMechanism,
+    pub(super) creep: CreepSim,
+    pub(super) ticks: Vec<alone::Tick>,
+    pub(super) linear_v_per_c: f64,
+    pub(super) step_s: f64,
+}
+
+impl Steps {
+    /// Of `step_s`, in which the force goes as with a time constant of `shape_s`; `added`: levels of [`stiffening`].
+    pub(super) fn new(model: &AxisModel, step_s: f64, shape_s: f64, added: &[f64]) -> Self {
+        let mechanism = LinearMechanism::new(model, step_s, shape_s, added);
+        let piezo = &model.piezo;
+        let creep = CreepSim::new(&piezo.creep, step_s);
+        let ticks = alone::ticks(
+            &mechanism,
+            piezo.transformer_n_per_v,
+            piezo.capacitance_f,
+            1.0 + creep.per_volt(),
+        );
+        Self { mechanism, creep, ticks, linear_v_per_c: piezo.resistance_ohm / step_s, step_s }
+    }
+}
+
+/// Loss in series with the elements, as the voltage that a coulomb drawn in one tick meets, V/C.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Drag {
+    /// With an exponent of 1, and at [`LOSS_AT_A`] with any other.
+    pub(super) linear_v_per_c: f64,
+    /// Power of the current that the voltage goes with.
+    pub(super) exponent: f64,
+    /// In this tick.
+    pub(super) v_per_c: f64,
+}
+
+impl Drag {
+    /// Smallest share of [`LOSS_AT_A`] at which the power law still rises: a root has an infinite slope at zero.
+    const LEAST_SHARE: f64 = 1.0e-3;
+
+    #[inline]
+    pub(super) fn depends_on_current(&self) -> bool {
+        self.exponent != 1.0 && self.linear_v_per_c != 0.0
+    }
+
+    /// Take the secant of the power law at the current that a tick is expected to draw, A.
+    #[inline]
+    pub(super) fn at(&mut self, current_a: f64) {
+        if self.depends_on_current() {
+            let share = (current_a.abs() / LOSS_AT_A).max(Self::LEAST_SHARE);
+            self.v_per_c = self.linear_v_per_c * share.powf(self.exponent - 1.0);
+        }
+    }
+}
+
+/// Levels of the stiffening by the hysteresis branch, from all elements slipping to none.
+const LEVELS: usize = 9;
+
+/// Stiffness that the charge branch adds to the mechanism when elements of slope `j/(LEVELS-1)` of all hold, N/m:
+/// with `v_z = v - S q`, `q = T x + C v_z`, the force `T v_z` falls by `T^2 S/(1 + C S)` a metre.
+pub(super) fn stiffening(model: &AxisModel) -> Vec<f64> {
+    let piezo = &model.piezo;
+    let all: f64 = piezo.slopes_v_per_c.iter().sum();
+    if all == 0.0 {
+        return vec![0.0];
+    }
+    let transformer = piezo.transformer_n_per_v;
+    (0..LEVELS)
+        .map(|j| {
+            let slope = all * j as f64 / (LEVELS - 1) as f64;
+            transformer * transformer * slope / (1.0 + piezo.capacitance_f * slope)
+        })
+        .collect()
+}
