@@ -69,8 +69,11 @@ fn a_loop_of_another_law_is_no_friction() {
 #[test]
 fn a_loop_of_another_law_is_seen_beside_what_is_as_loud() {
     let diagnosis = drawn(2222, 34, &["hysteresis-shape", "amplifier-clipping"]);
-    let named = vec![("hysteresis-shape", &[1][..]), ("amplifier-clipping", &[1][..])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    // 188 and 195 nm: which one comes first is no matter.
+    let mut found = causes(&diagnosis);
+    found.sort_unstable();
+    let named = vec![("amplifier-clipping", &[1][..]), ("hysteresis-shape", &[1][..])];
+    assert_eq!((diagnosis.verdict, found), (Verdict::Explained, named));
 }
 
 #[test]
