@@ -2,7 +2,7 @@
 
 use crate::Error;
 use crate::fitting::fit::{Sensitivities, cost};
-use crate::fitting::knobs::is_plain;
+use crate::fitting::knobs::{EffectRef, is_plain};
 use crate::fitting::model::{Model, Term, knobs_of, start_terms};
 use crate::judge::ambiguity::NOISE_MARGIN;
 use crate::search::select::Search;
@@ -38,7 +38,13 @@ impl Search<'_> {
             let gains = self.screen.test(self.scene, &stack, Some(&sensitivities));
             let needed = cost(&stack) - model.fit.cost;
             let mut offers = self.shortlist(&gains, &names, usize::MAX);
-            let plain = offers.split_off(offers.len().min(self.breadth.swaps)).into_iter();
+            let rest = offers.split_off(offers.len().min(self.breadth.swaps));
+            // What it is known to be confused with is asked for, however many others promise more.
+            let alike = model.terms[t].effect.info().confused_with;
+            let is_alike = |(effect, _): &(EffectRef, _)| alike.contains(&effect.info().name);
+            let (known, plain): (Vec<_>, Vec<_>) = rest.into_iter().partition(is_alike);
+            offers.extend(known);
+            let plain = plain.into_iter();
             // An effect of many forms promises more than the plain one whose form it takes on here.
             let plain = plain.filter(|(effect, _)| is_plain(*effect));
             offers.extend(plain.take(self.breadth.plain));

@@ -14,9 +14,6 @@ const TOLERANCE_M: f64 = 1.0e-15;
 /// Sweeps over the group at most; each gains the ratio of coupling to own stiffness, squared.
 const MAX_SWEEPS: usize = 100;
 
-/// Change of the amplifier's output in a leap below which it rests, V.
-const LEAST_V: f64 = 1.0e-6;
-
 /// A group of axes with the springs between them.
 pub struct Group {
     /// Numbers of the axes in the rig.
@@ -196,21 +193,17 @@ impl Group {
         }
         let end_v = volts[ticks - 1];
         axis.set_leaping(true);
-        let from_m = axis.position_m();
+        let (from_m, first) = (axis.position_m(), axis.metres_per_volt());
         let mut to_m = from_m;
         axis.follow(1, |_, _, _| end_v, |_, position_m, _| to_m = position_m);
-        // In between the axis goes with the voltage, and where that rests, with time.
-        let whole_v = end_v - before_v;
-        let by_voltage = whole_v.abs() > LEAST_V;
+        let way = pace::Way {
+            volts: (before_v, end_v),
+            metres: (from_m, to_m),
+            slopes: (first, axis.metres_per_volt()),
+        };
         for (k, &v) in volts.iter().enumerate() {
-            let gone = if k + 1 == ticks {
-                1.0
-            } else if by_voltage {
-                (v - before_v) / whole_v
-            } else {
-                (k + 1) as f64 / ticks as f64
-            };
-            reached(start + k, from_m + gone * (to_m - from_m), v);
+            let position_m = if k + 1 == ticks { to_m } else { way.at(v, k + 1, ticks) };
+            reached(start + k, position_m, v);
         }
     }
 

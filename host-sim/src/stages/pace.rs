@@ -2,7 +2,7 @@
 //!
 //! Most of a session is slow: triangles of a hertz, half a minute of holding. There an axis follows its amplifier, and four ticks in
 //! one step come to where four steps do: the mechanism is exact in any step, and the charge has one answer as long as the voltage goes
-//! one way. Ticks in between go with the voltage. A heavy mechanism swings, and is followed in sub-steps so that the hysteresis sees it: that
+//! one way. Ticks in between go with the voltage, round a corner where a loop closes. A heavy mechanism swings, and is followed in sub-steps so that the hysteresis sees it: that
 //! goes in whole ticks where it hardly does, and half a minute of holding at 1 kHz no longer takes 32 sub-steps a tick.
 //!
 //! The amplifier goes through every tick in any case. What this costs in accuracy, over the effects of the catalogue: `tests/leaps.rs`.
@@ -39,6 +39,38 @@ pub fn is_one_way(before_v: f64, volts: &[f64]) -> bool {
         last = v;
     }
     is_calm && !(rises && falls)
+}
+
+/// Change of the amplifier's output in a leap below which it rests, V.
+const LEAST_V: f64 = 1.0e-6;
+
+/// How an axis got from the start of a leap to its end.
+pub struct Way {
+    /// Amplifier output at either end, V.
+    pub volts: (f64, f64),
+    /// Displacement there, m.
+    pub metres: (f64, f64),
+    /// Slope of the branch there, m/V; 0 where it is not known.
+    pub slopes: (f64, f64),
+}
+
+impl Way {
+    /// Displacement at an output in between, `tick` of so many ticks on: with the voltage, and where that rests, with time. Where a loop closes
+    /// in between, or an element begins to slip, the way has a corner.
+    pub fn at(&self, v: f64, tick: usize, ticks: usize) -> f64 {
+        let ((v0, v1), (x0, x1), (s0, s1)) = (self.volts, self.metres, self.slopes);
+        let whole_v = v1 - v0;
+        if whole_v.abs() < LEAST_V {
+            return x0 + (x1 - x0) * tick as f64 / ticks as f64;
+        }
+        // x0 + s0 (corner - v0) + s1 (v1 - corner) = x1
+        let corner = ((x1 - x0) - s1 * whole_v) / ((s0 - s1) * whole_v);
+        if s0 > 0.0 && s1 > 0.0 && corner > 0.0 && corner < 1.0 {
+            if (v - v0) / whole_v < corner { x0 + s0 * (v - v0) } else { x1 - s1 * (v1 - v) }
+        } else {
+            x0 + (x1 - x0) * (v - v0) / whole_v
+        }
+    }
 }
 
 /// Watches one axis.

@@ -442,6 +442,17 @@ impl AxisSim {
         self.output_v = self.input_v;
     }
 
+    /// How far a volt moves the axis at rest on the branch that it is on, m/V; 0 where forces have a say in it.
+    #[inline]
+    pub fn metres_per_volt(&self) -> f64 {
+        if !self.forces.is_empty() {
+            return 0.0;
+        }
+        let load = self.load();
+        let per_charge_branch = 1.0 + load.tangent_v_per_c / load.free_elastance;
+        self.mechanism.compliance_m_per_n() * self.transformer / per_charge_branch
+    }
+
     /// What the stack shows the amplifier.
     pub fn load(&self) -> Load {
         Load {
