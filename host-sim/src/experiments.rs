@@ -234,7 +234,9 @@ mod tests {
     fn figure_3_the_rig_uncouples_although_its_mechanism_is_coupled() {
         let nominal = Rig::named("handley").unwrap();
         for run in coupling(&nominal, 90.0).unwrap() {
-            assert_eq!(run.moved_m, 0.0, "three independent springs do not couple");
+            // To the rounding of a displacement of ten micrometres: a calm axis goes on in leaps, which round otherwise than ticks do.
+            let moved = run.moved_m.abs();
+            assert!(moved < 1.0e-20, "three independent springs do not couple: {moved} m");
         }
         let mechanism = ThreeRrr::example().stiffness_n_per_m();
         let rig = couple(&nominal, &mechanism).unwrap();
