@@ -34,9 +34,10 @@ pub struct Fit {
 /// Share of what is left that an iteration takes off while a fit is still on its way.
 const FAST: f64 = 0.3;
 
-/// Iterations like the last one that a fit may have in it: more is the sum of a series that falls by less than a quarter.
+/// Iterations like the last one that a fit is hoped to have in it: what iterations sum up to that each take off three quarters of the one before.
 const MOST_TO_COME: usize = 3;
-/// Share of the cost of an axis below which most of a gap there that is larger than its noise may be closed: to be found out.
+/// Share of the cost that an axis began with: one that may come below it may close a gap there that is larger than its noise, and goes on,
+/// whatever the sum of all axes comes to.
 const AN_AXIS: f64 = 0.6;
 
 /// How long and on what to fit.
@@ -50,7 +51,7 @@ pub struct Effort {
     pub floor: f64,
     /// Give up after two iterations that leave more than this cost and no longer fall fast.
     pub hopeless: f64,
-    /// Give up once the iterations left, each taking off as much as the last one, a few of them, would not come to this cost.
+    /// Give up once a few iterations more, each taking off as much as the last one, would not come to this cost.
     pub worth: f64,
 }
 

@@ -40,7 +40,7 @@ const AS_LITTLE: f64 = 1.1;
 const AS_FURTHER: f64 = 1.5;
 /// ... or this share of the gap.
 const NEXT_TO_NOTHING: f64 = 0.003;
-/// ... that it leaves at most before others are tried in the place of those beside it.
+/// Share of what the model with a plain loop leaves that one of an effect more, any loop among them, may leave to be gone on from.
 const LESS: f64 = 0.8;
 /// Multiple of what a plain model leaves that a loop of any law may leave to be looked into.
 const NEAR: f64 = 2.0;
@@ -158,12 +158,16 @@ impl Search<'_> {
         NEAR * (plain.fit.cost - self.noise).max(NEXT_TO_NOTHING * self.gap)
     }
 
+    /// Whether a model is several effects that leave no room for others beside them.
+    fn is_several_and_all(&self, model: &Model) -> bool {
+        model.terms.len() > 1 && model.fit.cost - self.noise < CLOSED * self.gap
+    }
+
     /// What a loop of any law, let go from `bound`, has to come to for anything to follow from it: less than the bound one leaves, and
     /// near to what a plain model of several effects does that leaves no room for others beside it, or, with as many effects, much less.
     fn line_of_loop(&self, bound: &Model, plain: Option<&Model>) -> f64 {
         let left = |m: &Model| (m.fit.cost - self.noise).max(0.0);
-        let is_several = |m: &&Model| m.terms.len() > 1 && left(m) < CLOSED * self.gap;
-        let Some(plain) = plain.filter(is_several) else { return left(bound) };
+        let Some(plain) = plain.filter(|m| self.is_several_and_all(m)) else { return left(bound) };
         if bound.terms.len() >= plain.terms.len() && !plain.key().contains(&FRICTION) {
             MUCH_LESS * left(plain)
         } else {
@@ -176,7 +180,7 @@ impl Search<'_> {
     fn holds_up(&mut self, freed: &Model, plain: Option<&Model>) -> Result<bool, Error> {
         let left = |m: &Model| (m.fit.cost - self.noise).max(0.0);
         let Some(plain) = plain.filter(|m| m.terms.len() > 1) else { return Ok(true) };
-        if left(plain) < CLOSED * self.gap {
+        if self.is_several_and_all(plain) {
             return Ok(left(freed) < self.line_of_loop(freed, Some(plain)));
         }
         let line = self.near(plain);

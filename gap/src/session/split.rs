@@ -85,43 +85,27 @@ fn loudness(print: &[f64]) -> f64 {
 }
 
 fn split_blocks(scene: &mut Scene) {
-    let mut channels = Vec::new();
-    for channel in &scene.channels {
-        let track = &scene.tracks[channel.track];
-        let (start, len) = (channel.range.start, channel.range.len());
-        for (b, &held_out) in BLOCKS.iter().enumerate() {
-            let range = start + len * b / BLOCKS.len()..start + len * (b + 1) / BLOCKS.len();
-            let mut part = Channel::new(
-                channel.track,
-                track,
-                channel.axis,
-                channel.kind,
-                channel.sigma,
-                range,
-            );
-            part.held_out = held_out;
-            channels.push(part);
-        }
-    }
-    scene.channels = channels;
+    cut(scene, &BLOCKS.map(|held_out| (1, held_out)));
 }
 
 /// Hold out the last third of every recording: what a calibration is checked on.
 pub fn hold_out_last_third(scene: &mut Scene) {
+    cut(scene, &[(2, false), (1, true)]);
+}
+
+/// Cut every channel into parts of these relative lengths, held out or not.
+fn cut(scene: &mut Scene, parts: &[(usize, bool)]) {
+    let whole: usize = parts.iter().map(|(length, _)| length).sum();
     let mut channels = Vec::new();
     for channel in &scene.channels {
         let track = &scene.tracks[channel.track];
-        let cut = channel.range.start + channel.range.len() * 2 / 3;
-        for (range, held_out) in [(channel.range.start..cut, false), (cut..channel.range.end, true)]
-        {
-            let mut part = Channel::new(
-                channel.track,
-                track,
-                channel.axis,
-                channel.kind,
-                channel.sigma,
-                range,
-            );
+        let at = |gone: usize| channel.range.start + channel.range.len() * gone / whole;
+        let mut gone = 0;
+        for &(length, held_out) in parts {
+            let range = at(gone)..at(gone + length);
+            gone += length;
+            let (axis, kind, sigma) = (channel.axis, channel.kind, channel.sigma);
+            let mut part = Channel::new(channel.track, track, axis, kind, sigma, range);
             part.held_out = held_out;
             channels.push(part);
         }

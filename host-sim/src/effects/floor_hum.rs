@@ -47,6 +47,10 @@ impl Force for Shaking {
     fn force(&self, _x_m: f64) -> (f64, f64) {
         (self.force_n, 0.0)
     }
+
+    fn goes_with_time(&self) -> bool {
+        true
+    }
 }
 
 impl Effect for FloorHum {

@@ -89,6 +89,10 @@ impl Force for Drag {
         }
         self.at_m = x_m;
     }
+
+    fn goes_with_time(&self) -> bool {
+        true
+    }
 }
 
 impl Effect for StageDrag {

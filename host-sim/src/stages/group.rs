@@ -137,7 +137,7 @@ impl Group {
         let mut pace = Pace::new(&self.axes[0], self.substeps);
         let mut done = 0;
         while done < ticks {
-            let part = done..ticks.min(done + most.max(pace::LEAST_STEPS));
+            let part = done..ticks.min(done + LEAP);
             let axis = &self.axes[0];
             let asked = |tick: usize| {
                 let target = || axis.amplifier.target_v(member, |other| command(tick, other));
@@ -145,18 +145,16 @@ impl Group {
             };
             let is_calm = pace.is_calm(part.clone().map(asked)) && part.len() >= most;
             done = part.end;
+            let mut heard = |tick, position_m, output_v| {
+                pace.saw(position_m, output_v);
+                reached(tick, position_m, output_v);
+            };
             if is_calm {
                 for start in part.step_by(most) {
-                    self.leap(start, most, &command, &output, &time_s, &mut |tick, x, v| {
-                        pace.saw(x, v);
-                        reached(tick, x, v);
-                    });
+                    self.leap(start, most, &command, &output, &time_s, &mut heard);
                 }
             } else {
-                self.stretch(part, &command, &output, &time_s, &mut |tick, x, v| {
-                    pace.saw(x, v);
-                    reached(tick, x, v);
-                });
+                self.stretch(part, &command, &output, &time_s, &mut heard);
             }
         }
         self.axes[0].set_leaping(false);

@@ -2,8 +2,9 @@
 //!
 //! Most of a session is slow: triangles of a hertz, half a minute of holding. There an axis follows its amplifier, and four ticks in
 //! one step come to where four steps do: the mechanism is exact in any step, and the charge has one answer as long as the voltage goes
-//! one way. Ticks in between go with the voltage, round a corner where a loop closes. A heavy mechanism swings, and is followed in sub-steps so that the hysteresis sees it: that
-//! goes in whole ticks where it hardly does, and half a minute of holding at 1 kHz no longer takes 32 sub-steps a tick.
+//! one way. Ticks in between go with the voltage, round a corner where a loop closes. A heavy mechanism swings, and is followed in
+//! sub-steps so that the hysteresis sees it: that goes in whole ticks where it hardly does, and half a minute of holding at 1 kHz no longer
+//! takes 32 sub-steps a tick.
 //!
 //! The amplifier goes through every tick in any case. What this costs in accuracy, over the effects of the catalogue: `tests/leaps.rs`.
 
@@ -11,10 +12,8 @@ use super::axis::AxisSim;
 use super::mechanism::swings_at;
 use super::model::AxisModel;
 
-/// Most ticks taken at once.
+/// Most ticks taken at once, and ticks that are decided upon together.
 pub const LEAP: usize = 4;
-/// Ticks that are decided upon together.
-pub const LEAST_STEPS: usize = 4;
 
 /// Ticks that an axis which goes in so many sub-steps may take at once, if it ever does. Between the ticks of a leap nothing may swing.
 pub fn leap(model: &AxisModel, substeps: usize) -> Option<usize> {

@@ -11,7 +11,7 @@ use super::amplifier::AmplifierSim;
 use super::creep::CreepSim;
 use super::hysteresis::{Branch, Elements, SlipElements};
 use super::mechanism::LinearMechanism;
-use super::model::{AxisModel, Force, RateLaw};
+use super::model::{AxisModel, Force, PiezoModel, RateLaw};
 use crate::start::{Initial, Memory};
 
 pub use alone::Load;
@@ -76,8 +76,11 @@ impl AxisSim {
         let shape_s = model.amplifier.time_constant_s;
         let Steps { mechanism, creep, ticks, linear_v_per_c, .. } =
             Steps::new(&model, step_s, shape_s, &added);
-        // A loss of strain goes by the ways of two steps of one length.
-        let leap = leap.filter(|_| model.piezo.strain_loss.is_none());
+        // What depends on the current changes in every tick, and a loss of strain goes by the ways of two steps of one length.
+        let PiezoModel { strain_loss, rate, resistance_ohm, .. } = &model.piezo;
+        let by_current = strain_loss.is_some() || rate.is_some() || *resistance_ohm != 0.0;
+        let by_time = model.mechanism.forces.iter().any(|force| force.goes_with_time());
+        let leap = leap.filter(|_| !by_current && !by_time);
         // Over several calm ticks an amplifier goes straight.
         let other = leap.map(|ticks| {
             let shape_s = if ticks > 1 { f64::INFINITY } else { shape_s };
