@@ -25,7 +25,7 @@ static INFO: Info = Info {
         Parameter::shape("strain_onset", "1", (1.0, 3.0), 1.0, "power of the current that it goes with below that"),
     ],
     threshold: false,
-    physics: "limit_i' = limit_i (1 + per_decade lg(1 + |dq/dt|/reference)), and resistance 1 mA (|dq/dt| / 1 mA)^loss_exponent in series: domain \
+    physics: "limit_i' = limit_i (1 + per_decade lg(1 + |i|/reference)), i the current into the free stack, followed within 0.1 ms, and resistance 1 mA (|dq/dt| / 1 mA)^loss_exponent in series: domain \
               walls need a larger field to move faster. With stiffening 1 the whole hysteresis voltage grows instead. A reference beyond all currents makes the growth linear in \
               speed. Strain may also come later than charge: the stack pushes strain_loss ln(1 + u^onset)/onset, u = |dq/dt|/strain_loss_a, less \
               towards where it goes. Loop width at 0 Hz is untouched.",

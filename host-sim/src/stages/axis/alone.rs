@@ -1,12 +1,12 @@
 //! Ticks of an axis that no spring ties to another one: the whole tick in one piece where no nonlinear force acts on it, which is what
 //! nearly every simulation runs. `begin`, `solve`, `commit` give the same numbers to rounding and serve the rest.
 
-use super::{AxisSim, Drag};
+use super::AxisSim;
+use super::current::ByCurrent;
 use crate::stages::amplifier::AmplifierSim;
 use crate::stages::creep::CreepSim;
 use crate::stages::hysteresis::{Branch, Elements, SlipElements};
 use crate::stages::mechanism::LinearMechanism;
-use crate::stages::model::RateLaw;
 
 /// What a tick does at one level of stiffening, with everything that does not change multiplied out.
 #[derive(Debug, Clone, Copy)]
@@ -79,14 +79,12 @@ struct Parts<'a> {
     amplifier: &'a mut AmplifierSim,
     mechanism: &'a mut LinearMechanism,
     creep: &'a mut CreepSim,
-    rate: Option<&'a dyn RateLaw>,
+    by_current: &'a mut ByCurrent,
     ticks: &'a [Tick],
     levels_per_slope: f64,
     transformer: f64,
-    drag: Drag,
     skew_per_c: f64,
     imprint_v: f64,
-    step_s: f64,
     free_elastance: f64,
     output_v: &'a mut f64,
     transducer_v: &'a mut f64,
@@ -125,14 +123,12 @@ impl AxisSim {
             amplifier: &mut self.amplifier,
             mechanism: &mut self.mechanism,
             creep: &mut self.creep,
-            rate: self.rate.as_deref(),
+            by_current: &mut self.by_current,
             ticks: &self.ticks,
             levels_per_slope: self.levels_per_slope,
             transformer: self.transformer,
-            drag: self.drag,
             skew_per_c: self.skew_per_c,
             imprint_v: self.imprint_v,
-            step_s: self.step_s,
             free_elastance: self.free_elastance,
             output_v: &mut self.output_v,
             transducer_v: &mut self.transducer_v,
@@ -159,34 +155,16 @@ impl Parts<'_> {
         mut reached: impl FnMut(usize, f64, f64),
     ) {
         let creeping = !self.creep.is_empty();
-        let mut drag = self.drag;
-        let needs_current = self.rate.is_some() || drag.depends_on_current();
         let (mut before_v, mut transducer_v) = (*self.output_v, *self.transducer_v);
         let mut force_n = *self.force_n;
         let [mut x, mut w] = self.mechanism.motion();
-        let mut branch = Branch {
-            charge_at_zero_c: 0.0,
-            capacitance_f: 0.0,
-            input_v: 0.0,
-            drag_v_per_c: self.drag.v_per_c,
-            skew_per_c: self.skew_per_c,
-            limit_scale: 1.0,
-            sum_scale: 1.0,
-        };
+        let mut branch = Branch { skew_per_c: self.skew_per_c, ..Branch::default() };
         for tick in 0..ticks {
             let load = Load {
                 free_elastance: self.free_elastance,
                 tangent_v_per_c: elements.tangent_v_per_c(),
             };
             let input_v = output(self.amplifier, before_v, load);
-            if needs_current {
-                let current = (input_v - before_v) * load.capacitance_f() / self.step_s;
-                if let Some(rate) = self.rate {
-                    (branch.limit_scale, branch.sum_scale) = rate.scales(current.abs());
-                }
-                drag.at(current);
-                branch.drag_v_per_c = drag.v_per_c;
-            }
             let tangent = elements.tangent_towards(input_v >= before_v);
             // Through 32 bits: the processor has an instruction for that, and none for an unsigned number of 64.
             let level =
@@ -206,8 +184,11 @@ impl Parts<'_> {
             branch.charge_at_zero_c = self.transformer * free;
             branch.capacitance_f = constants.capacitance_f;
             branch.input_v = input_v - self.imprint_v;
-            transducer_v = elements.solve(&branch);
+            let change_v = input_v - before_v;
+            self.by_current.begin(elements, &mut branch, transducer_v, change_v);
+            transducer_v = self.by_current.solve(elements, &branch);
             elements.commit();
+            self.by_current.commit();
             let position = free + constants.per_volt * transducer_v;
             let next_n = self.transformer * (transducer_v * (1.0 + slow_per_v) + slow_v);
             if TWO_STATES {

@@ -4,6 +4,7 @@
 //! number of times while neighbours are being solved), `commit`.
 
 mod alone;
+mod current;
 mod steps;
 mod strain_loss;
 
@@ -11,11 +12,12 @@ use super::amplifier::AmplifierSim;
 use super::creep::CreepSim;
 use super::hysteresis::{Branch, Elements, SlipElements};
 use super::mechanism::LinearMechanism;
-use super::model::{AxisModel, Force, PiezoModel, RateLaw};
+use super::model::{AxisModel, Force, PiezoModel};
 use crate::start::{Initial, Memory};
 
 pub use alone::Load;
-use steps::{Drag, Steps, stiffening};
+use current::ByCurrent;
+use steps::{Steps, stiffening};
 use strain_loss::StrainLossSim;
 
 /// What the forces may differ by from those that were solved for, as the displacement that it makes, m.
@@ -33,10 +35,9 @@ pub struct AxisSim {
     mechanism: LinearMechanism,
     forces: Vec<Box<dyn Force>>,
     creep: CreepSim,
-    rate: Option<Box<dyn RateLaw>>,
+    by_current: ByCurrent,
     transformer: f64,
     capacitance: f64,
-    drag: Drag,
     strain_loss: Option<StrainLossSim>,
     skew_per_c: f64,
     imprint_v: f64,
@@ -61,8 +62,7 @@ pub struct AxisSim {
     beta: f64,
     slow_v: f64,
     slow_per_v: f64,
-    limit_scale: f64,
-    sum_scale: f64,
+    branch: Branch,
     next_transducer_v: f64,
     next_position_m: f64,
     next_force_n: f64,
@@ -74,8 +74,7 @@ impl AxisSim {
         let step_s = tick_s / substeps as f64;
         let added = stiffening(&model);
         let shape_s = model.amplifier.time_constant_s;
-        let Steps { mechanism, creep, ticks, linear_v_per_c, .. } =
-            Steps::new(&model, step_s, shape_s, &added);
+        let Steps { mechanism, creep, ticks, .. } = Steps::new(&model, step_s, shape_s, &added);
         // What depends on the current changes in every tick, and a loss of strain goes by the ways of two steps of one length.
         let PiezoModel { strain_loss, rate, resistance_ohm, .. } = &model.piezo;
         let by_current = strain_loss.is_some() || rate.is_some() || *resistance_ohm != 0.0;
@@ -86,31 +85,32 @@ impl AxisSim {
             let shape_s = if ticks > 1 { f64::INFINITY } else { shape_s };
             Box::new(Steps::new(&model, ticks as f64 * tick_s, shape_s, &added))
         });
-        let piezo = model.piezo;
+        let mut piezo = model.piezo;
         let all_slopes: f64 = piezo.slopes_v_per_c.iter().sum();
         let top = (added.len() - 1) as f64;
         let square = piezo.transformer_n_per_v * piezo.transformer_n_per_v;
+        let free_elastance = 1.0 / (piezo.capacitance_f + square * mechanism.compliance_m_per_n());
+        let by_current = ByCurrent::new(&mut piezo, free_elastance, step_s, shape_s);
         Self {
             ticks,
             other,
             leap,
             is_leaping: false,
-            free_elastance: 1.0 / (piezo.capacitance_f + square * mechanism.compliance_m_per_n()),
+            free_elastance,
             level: 0,
             levels_per_slope: if all_slopes > 0.0 { top / all_slopes } else { 0.0 },
             elements: Elements::new(
                 &piezo.slopes_v_per_c,
                 &piezo.limits_v,
-                piezo.rate.is_some(),
+                by_current.has_law(),
                 piezo.element_yield,
             ),
             mechanism,
             forces: model.mechanism.forces,
             creep,
-            rate: piezo.rate,
+            by_current,
             transformer: piezo.transformer_n_per_v,
             capacitance: piezo.capacitance_f,
-            drag: Drag { linear_v_per_c, exponent: piezo.loss_exponent, v_per_c: linear_v_per_c },
             strain_loss: piezo
                 .strain_loss
                 .map(|loss| StrainLossSim::new(loss, piezo.transformer_n_per_v, step_s)),
@@ -127,8 +127,7 @@ impl AxisSim {
             beta: 0.0,
             slow_v: 0.0,
             slow_per_v: 0.0,
-            limit_scale: 1.0,
-            sum_scale: 1.0,
+            branch: Branch::default(),
             next_transducer_v: 0.0,
             next_position_m: 0.0,
             next_force_n: 0.0,
@@ -157,13 +156,12 @@ impl AxisSim {
         std::mem::swap(&mut self.creep, &mut other.creep);
         std::mem::swap(&mut self.ticks, &mut other.ticks);
         std::mem::swap(&mut self.step_s, &mut other.step_s);
-        std::mem::swap(&mut self.drag.linear_v_per_c, &mut other.linear_v_per_c);
-        self.drag.v_per_c = self.drag.linear_v_per_c;
     }
 
     /// Come to rest at an initial state, with `target_v` asked of the amplifier; `output_v` overrides its output.
     pub fn start(&mut self, initial: &Initial, target_v: f64, time_s: f64, output_v: Option<f64>) {
         self.travels_m = [0.0; 2];
+        self.by_current.start();
         self.amplifier.start(initial.amplifier_v.unwrap_or(target_v), target_v);
         self.output_v = output_v.unwrap_or_else(|| self.amplifier.output_v(time_s));
         match &initial.memory {
@@ -261,13 +259,13 @@ impl AxisSim {
         if !self.creep.is_empty() {
             (self.slow_v, self.slow_per_v) = self.creep.begin(self.transducer_v);
         }
-        if self.rate.is_some() || self.drag.depends_on_current() {
-            let current = (output_v - self.output_v) * self.load().capacitance_f() / self.step_s;
-            if let Some(rate) = &self.rate {
-                (self.limit_scale, self.sum_scale) = rate.scales(current.abs());
-            }
-            self.drag.at(current);
-        }
+        let per_volt = self.beta * self.transformer * (1.0 + self.slow_per_v);
+        self.branch.capacitance_f = self.transformer * per_volt + self.capacitance;
+        self.branch.input_v = output_v - self.imprint_v;
+        self.branch.skew_per_c = self.skew_per_c;
+        let change_v = output_v - self.output_v;
+        let (elements, branch) = (&mut self.elements, &mut self.branch);
+        self.by_current.begin(elements, branch, self.transducer_v, change_v);
     }
 
     /// Displacement of a tick that goes on as the two before it, m.
@@ -364,16 +362,12 @@ impl AxisSim {
         let branch = Branch {
             charge_at_zero_c: self.transformer * free_m,
             capacitance_f: self.transformer * per_volt + self.capacitance,
-            input_v: self.input_v - self.imprint_v,
-            drag_v_per_c: self.drag.v_per_c,
-            skew_per_c: self.skew_per_c,
-            limit_scale: self.limit_scale,
-            sum_scale: self.sum_scale,
+            ..self.branch
         };
         let lost_n = match self.strain_loss {
             Some(loss) => self.solve_with_loss(loss, &branch, beta),
             None => {
-                self.next_transducer_v = self.elements.solve(&branch);
+                self.next_transducer_v = self.by_current.solve(&mut self.elements, &branch);
                 0.0
             }
         };
@@ -395,7 +389,7 @@ impl AxisSim {
                 capacitance_f: branch.capacitance_f / room,
                 ..*branch
             };
-            self.next_transducer_v = self.elements.solve(&branch);
+            self.next_transducer_v = self.by_current.solve(&mut self.elements, &branch);
             let next = branch.charge_at_zero_c + branch.capacitance_f * self.next_transducer_v;
             // Of the line that was solved.
             lost_n = force + slope * (next - charge);
@@ -428,6 +422,7 @@ impl AxisSim {
     #[inline]
     pub fn commit(&mut self) {
         self.elements.commit();
+        self.by_current.commit();
         let travel_m = self.next_position_m - self.mechanism.position_m();
         self.travels_m = [travel_m, self.travels_m[0]];
         self.mechanism.advance(self.level, self.force_n, self.next_force_n, self.next_position_m);

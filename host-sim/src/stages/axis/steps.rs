@@ -3,14 +3,13 @@
 use super::alone;
 use crate::stages::creep::CreepSim;
 use crate::stages::mechanism::LinearMechanism;
-use crate::stages::model::{AxisModel, LOSS_AT_A};
+use crate::stages::model::AxisModel;
 
 /// What depends on the length of a step.
 pub(super) struct Steps {
     pub(super) mechanism: LinearMechanism,
     pub(super) creep: CreepSim,
     pub(super) ticks: Vec<alone::Tick>,
-    pub(super) linear_v_per_c: f64,
     pub(super) step_s: f64,
 }
 
@@ -26,37 +25,7 @@ impl Steps {
             piezo.capacitance_f,
             1.0 + creep.per_volt(),
         );
-        Self { mechanism, creep, ticks, linear_v_per_c: piezo.resistance_ohm / step_s, step_s }
-    }
-}
-
-/// Loss in series with the elements, as the voltage that a coulomb drawn in one tick meets, V/C.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Drag {
-    /// With an exponent of 1, and at [`LOSS_AT_A`] with any other.
-    pub(super) linear_v_per_c: f64,
-    /// Power of the current that the voltage goes with.
-    pub(super) exponent: f64,
-    /// In this tick.
-    pub(super) v_per_c: f64,
-}
-
-impl Drag {
-    /// Smallest share of [`LOSS_AT_A`] at which the power law still rises: a root has an infinite slope at zero.
-    const LEAST_SHARE: f64 = 1.0e-3;
-
-    #[inline]
-    pub(super) fn depends_on_current(&self) -> bool {
-        self.exponent != 1.0 && self.linear_v_per_c != 0.0
-    }
-
-    /// Take the secant of the power law at the current that a tick is expected to draw, A.
-    #[inline]
-    pub(super) fn at(&mut self, current_a: f64) {
-        if self.depends_on_current() {
-            let share = (current_a.abs() / LOSS_AT_A).max(Self::LEAST_SHARE);
-            self.v_per_c = self.linear_v_per_c * share.powf(self.exponent - 1.0);
-        }
+        Self { mechanism, creep, ticks, step_s }
     }
 }
 

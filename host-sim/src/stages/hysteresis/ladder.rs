@@ -222,6 +222,16 @@ impl SlipElements for Ladder {
         self.rungs[from].holding
     }
 
+    #[inline]
+    fn charge_c(&self) -> f64 {
+        self.charge_c
+    }
+
+    #[inline]
+    fn drawn_c(&self) -> f64 {
+        self.next_charge_c - self.charge_c
+    }
+
     #[inline(always)]
     fn solve(&mut self, branch: &Branch) -> f64 {
         let mut slipping = self.slipping;

@@ -35,12 +35,30 @@ pub struct Branch {
     pub sum_scale: f64,
 }
 
+impl Default for Branch {
+    fn default() -> Self {
+        Self {
+            charge_at_zero_c: 0.0,
+            capacitance_f: 0.0,
+            input_v: 0.0,
+            drag_v_per_c: 0.0,
+            skew_per_c: 0.0,
+            limit_scale: 1.0,
+            sum_scale: 1.0,
+        }
+    }
+}
+
 /// What a tick asks of any form.
 pub trait SlipElements {
     /// Slope of the hysteresis voltage in the direction last moved, V/C.
     fn tangent_v_per_c(&self) -> f64;
     /// Slope expected when the voltage goes on up or down, V/C.
     fn tangent_towards(&self, rising: bool) -> f64;
+    /// Charge at the start of the tick, C.
+    fn charge_c(&self) -> f64;
+    /// Charge drawn in the tick that was last solved, C.
+    fn drawn_c(&self) -> f64;
     /// Solve for this tick without leaving the start of it: transducer voltage, V. `commit` accepts.
     fn solve(&mut self, branch: &Branch) -> f64;
     /// Accept the tick that was last solved.
@@ -120,6 +138,16 @@ impl SlipElements for Elements {
     #[inline]
     fn tangent_towards(&self, rising: bool) -> f64 {
         either!(self, elements => elements.tangent_towards(rising))
+    }
+
+    #[inline]
+    fn charge_c(&self) -> f64 {
+        either!(self, elements => elements.charge_c())
+    }
+
+    #[inline]
+    fn drawn_c(&self) -> f64 {
+        either!(self, elements => elements.drawn_c())
     }
 
     #[inline]

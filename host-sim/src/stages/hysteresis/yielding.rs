@@ -204,6 +204,16 @@ impl SlipElements for Yielding {
         self.tangents[usize::from(rising)]
     }
 
+    #[inline]
+    fn charge_c(&self) -> f64 {
+        self.charge_c
+    }
+
+    #[inline]
+    fn drawn_c(&self) -> f64 {
+        self.next.drawn_c
+    }
+
     fn solve(&mut self, branch: &Branch) -> f64 {
         let elastance = 1.0 / branch.capacitance_f;
         let start = self.charge_c - branch.charge_at_zero_c;

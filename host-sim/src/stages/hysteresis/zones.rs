@@ -265,6 +265,16 @@ impl SlipElements for Zones {
         if rising == (self.sign > 0.0) { self.tangent } else { self.all_slopes }
     }
 
+    #[inline]
+    fn charge_c(&self) -> f64 {
+        self.charge_c
+    }
+
+    #[inline]
+    fn drawn_c(&self) -> f64 {
+        self.next.charge_c - self.charge_c
+    }
+
     fn solve(&mut self, branch: &Branch) -> f64 {
         let elastance = 1.0 / branch.capacitance_f;
         let start = self.charge_c - branch.charge_at_zero_c;

@@ -1,0 +1,52 @@
+//! Loops that widen with the rate, at 10 kHz against ticks sixteen times as fine.
+
+mod common;
+
+use common::{one_axis, rms, run, triangle};
+use host_sim::Place;
+
+/// Ticks of the finer simulation in one at 10 kHz.
+const FINE: usize = 16;
+
+/// Rms between 10 kHz and the finer ticks, nm, and how far the effect moves the axis, nm rms.
+fn off_nm(values: &[(&str, f64)], drive: impl Fn(f64) -> f64) -> (f64, f64) {
+    let nominal = one_axis();
+    let mut rig = nominal.clone();
+    for (name, value) in values {
+        rig.set("hysteresis-rate", Place::Axis(0), name, *value).unwrap();
+    }
+    // Commands change at the ticks of a controller at 10 kHz.
+    let held = |t: f64| drive(((t + 1.0e-9) * 1.0e4).floor() / 1.0e4);
+    let (coarse, fine) = (run(&rig, 1.0e4, 1.0, held), run(&rig, 1.0e4 * FINE as f64, 1.0, held));
+    let every: Vec<f64> = fine.position_m[0].iter().step_by(FINE).copied().collect();
+    let without = run(&nominal, 1.0e4, 1.0, held);
+    let off = rms(&coarse.position_m[0], &every);
+    (1.0e9 * off, 1.0e9 * rms(&coarse.position_m[0], &without.position_m[0]))
+}
+
+#[test]
+fn a_tick_comes_to_where_sixteenths_of_one_do() {
+    let growth = [("per_decade", 0.3), ("stiffening", 1.0)];
+    let limits = [("per_decade", 0.3), ("stiffening", 0.0)];
+    let root = [("resistance_ohm", 600.0), ("loss_exponent", 0.4)];
+    let sine = |t: f64| 40.0 + 30.0 * (t * 200.0).sin();
+    let steps = |t: f64| 20.0 * f64::from((t / 0.03).floor() as i32 * 7 % 5);
+    // Largest share of what the effect does that may be off. Elements whose limits fall where the current turns slip back there for
+    // good, at 20 Hz within a few ticks: that part hangs on what happens inside them.
+    for (law, values, mild, fast_turns) in [
+        ("growth", &growth, 0.04, 0.01),
+        ("limits", &limits, 0.04, 0.25),
+        ("a root of the current", &root, 0.08, 0.03),
+    ] {
+        for (name, most, (off, moved)) in [
+            ("slow triangles", mild, off_nm(values, triangle(80.0, 2.5))),
+            ("fast triangles", fast_turns, off_nm(values, triangle(80.0, 20.0))),
+            ("sines", mild, off_nm(values, sine)),
+            ("steps", mild, off_nm(values, steps)),
+        ] {
+            eprintln!("{law}, {name}: {off:.3} nm rms of {moved:.1}");
+            assert!(moved > 10.0, "{law}, {name}: only {moved} nm rms");
+            assert!(off < most * moved, "{law}, {name}: {off} nm rms of {moved}");
+        }
+    }
+}
