@@ -233,6 +233,22 @@ impl Screen {
         best
     }
 
+    /// Where a fit of an effect at a place starts by those of its settings that are `wanted`: the one that gains most.
+    pub(crate) fn start_by(
+        &self,
+        stack: &Stack,
+        effect: &str,
+        place: Place,
+        wanted: impl Fn(&[f64]) -> bool,
+    ) -> Option<Vec<f64>> {
+        let is_of_it = |d: &&Direction| {
+            d.place == place && self.effects[d.effect].info().name == effect && wanted(&d.values)
+        };
+        let gains =
+            self.directions.iter().filter(is_of_it).filter_map(|d| self.gain(d, stack, None));
+        gains.max_by(|a, b| a.gain.total_cmp(&b.gain)).map(|gain| gain.start)
+    }
+
     fn gain(&self, direction: &Direction, stack: &Stack, known: Option<&Known>) -> Option<Gain> {
         let mut along = 0.0;
         for (c, row) in &direction.rows {

@@ -352,6 +352,7 @@ impl<'a> Search<'a> {
         }
         let model = self.fit_model(terms, start, effort)?;
         let model = self.other_variety(model, effort)?;
+        let model = self.other_law(model, effort)?;
         self.even_out(model, effort)
     }
 

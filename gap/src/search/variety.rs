@@ -3,6 +3,10 @@
 //! A current limit has a corner, or a knee that bends ever sooner. What a small knee changes goes with more than its square, so that a fit
 //! which starts from a corner stays there, and the screen, which tries both, may like the corner at one size better than the knee at a wrong
 //! one. So where the plain variety leaves something the other one is fitted as well.
+//!
+//! Loops widen with the rate by one law or another, and each of them comes near to the others: a fit that begins with one stays with it.
+
+use host_sim::effects::{Parameter, Place};
 
 use crate::Error;
 use crate::fitting::fit::Effort;
@@ -12,7 +16,49 @@ use crate::search::select::{CLOSED, Search, WORTH_OF_FIRST};
 /// Effect, the parameter that is zero in the plain variety, where the other one starts, and by how much the effect's first size grows there.
 const VARIETIES: [(&str, &str, f64, f64); 1] = [("amplifier-current-limit", "knee", 0.35, 1.25)];
 
+/// Effect with laws of several kinds: for each the parameters that are not at their zero in it.
+const LAWS: [(&str, [&[&str]; 3]); 1] = [(
+    "hysteresis-rate",
+    [&["per_decade"], &["resistance_ohm", "loss_exponent"], &["strain_loss_v"]],
+)];
+/// Share of the gap up to which a law has to leave for others to be tried.
+const NEAR: f64 = 0.2;
+
 impl Search<'_> {
+    /// `model` of one effect, or the same with another law of it, whichever leaves least.
+    pub(crate) fn other_law(&self, model: Model, effort: Effort) -> Result<Model, Error> {
+        let [term] = model.terms.as_slice() else { return Ok(model) };
+        let info = term.effect.info();
+        let Some((_, laws)) = LAWS.iter().find(|(name, _)| *name == info.name) else {
+            return Ok(model);
+        };
+        let left = model.fit.cost - self.noise;
+        if left < CLOSED * self.gap || left > NEAR * self.gap || model.fit.cost > effort.hopeless {
+            return Ok(model);
+        }
+        let follows = |law: &[&str], values: &[f64]| {
+            let is_off = |(p, v): (&Parameter, &f64)| law.contains(&p.name) && *v == p.zero;
+            !info.parameters.iter().zip(values).any(is_off)
+        };
+        let mut best: Option<Model> = None;
+        for law in laws {
+            if (0..term.places.len()).any(|place| follows(law, model.values(0, place))) {
+                continue;
+            }
+            let start = |&place: &Place| {
+                self.screen.start_by(&self.base, info.name, place, |values| follows(law, values))
+            };
+            let Some(start) = term.places.iter().map(start).collect::<Option<Vec<_>>>() else {
+                continue;
+            };
+            let other = self.fit_model(model.terms.clone(), start.concat(), effort)?;
+            if other.fit.cost < best.as_ref().unwrap_or(&model).fit.cost {
+                best = Some(other);
+            }
+        }
+        Ok(best.unwrap_or(model))
+    }
+
     /// `model`, or the same with the other variety of its last effect, whichever leaves less.
     pub(crate) fn other_variety(&self, model: Model, effort: Effort) -> Result<Model, Error> {
         let last = model.terms.len() - 1;

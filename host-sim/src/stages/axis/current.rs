@@ -111,7 +111,7 @@ impl ByCurrent {
         let after = left * before + per_v * change_v;
         if before * after < 0.0 {
             let (turn_s, steep) = self.through.turn(before, change_v);
-            let share = (turn_s / self.through.step_s).max(0.01).min(0.99);
+            let share = (turn_s / self.through.step_s).clamp(0.01, 0.99);
             self.drag = self.drag.of_part(share);
             let least = before.abs().min(0.5 * BRIEF_S * steep.abs());
             let (limit_scale, sum_scale) = law.scales(least * self.capacitance_f);
