@@ -153,7 +153,7 @@ fn integrate<const N: usize>(
     let method = ImplicitRungeKutta::radau5()
         .rtol(RELATIVE_TOLERANCE)
         .atol(RELATIVE_TOLERANCE * size)
-        .h_max((end / FEWEST_STEPS).min(forces.ringing_s() / 10.0))
+        .h_max((end / FEWEST_STEPS).min(forces.ringing_s() / 16.0))
         .max_steps(200_000);
     let solution = IVP::ode(forces, 0.0, end, start)
         .t_eval(later.clone())

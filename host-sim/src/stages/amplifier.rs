@@ -4,6 +4,7 @@
 use std::collections::VecDeque;
 
 use super::axis::Load;
+use super::knee::Knee;
 use super::model::{AmplifierModel, DriveModel, SlewLimit, VoltageBlock};
 
 /// State and parameters of one amplifier.
@@ -14,8 +15,9 @@ pub struct AmplifierSim {
     /// Commanded voltages still on their way, oldest first; empty without dead time.
     pipeline: VecDeque<f64>,
     whole_ticks: usize,
-    early: Segment,
-    late: Segment,
+    /// Before the command of this tick arrives, and after.
+    segments: [Segment; 2],
+    knees: [Option<Knee>; 2],
     time_constant_s: f64,
     min_v: f64,
     max_v: f64,
@@ -65,47 +67,6 @@ impl Further {
     }
 }
 
-/// Steepest fall and rise, V/s, and how softly they are reached.
-#[derive(Clone, Copy)]
-struct Limits {
-    down: f64,
-    up: f64,
-    knee: f64,
-}
-
-/// Longest step, in time constants, in which an approach with a knee is integrated: Runge-Kutta's error is then 1e-6 of the way.
-const LONGEST_STEP: f64 = 0.25;
-
-/// Slope, in units of the limit, where the first order asks for `asked` of it: `asked (1 + asked^(1/knee))^-knee`, which goes from the one
-/// to the other, all the sharper the smaller the knee.
-pub(crate) fn soft_slope(asked: f64, knee: f64) -> f64 {
-    if asked <= 0.0 {
-        return 0.0;
-    }
-    let bend = (-asked.ln().abs() / knee).exp();
-    asked.min(1.0) * (-knee * bend.ln_1p()).exp()
-}
-
-/// Slope asked for, in units of the limit, below which a knee takes less than 3e-9 of it.
-fn unbent(knee: f64) -> f64 {
-    (-20.0 * knee).exp()
-}
-
-/// What is left of a way after `length` time constants, both in units of what the limit covers in one.
-fn soft_approach(mut left: f64, knee: f64, length: f64) -> f64 {
-    let steps = (length / LONGEST_STEP).ceil().max(1.0);
-    let h = length / steps;
-    for _ in 0..steps as usize {
-        let slope = |left: f64| soft_slope(left.max(0.0), knee);
-        let k1 = slope(left);
-        let k2 = slope(left - 0.5 * h * k1);
-        let k3 = slope(left - 0.5 * h * k2);
-        let k4 = slope(left - h * k3);
-        left -= h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4);
-    }
-    left
-}
-
 /// A part of the tick with a constant target.
 #[derive(Clone, Copy)]
 struct Segment {
@@ -132,6 +93,8 @@ impl AmplifierSim {
         let whole_ticks = delay_ticks.floor() as usize;
         let fraction = delay_ticks - delay_ticks.floor();
         let tau = amplifier.time_constant_s;
+        let lengths_s = [fraction * step_s, (1.0 - fraction) * step_s];
+        let softness = amplifier.slew.as_ref().map_or(0.0, |slew| slew.knee());
         Self {
             plain: amplifier.slew.is_none()
                 && amplifier.input.is_empty()
@@ -143,8 +106,8 @@ impl AmplifierSim {
             crosstalk: drive.crosstalk,
             pipeline: VecDeque::new(),
             whole_ticks,
-            early: Segment::new(fraction * step_s, tau),
-            late: Segment::new((1.0 - fraction) * step_s, tau),
+            segments: lengths_s.map(|length_s| Segment::new(length_s, tau)),
+            knees: lengths_s.map(|length_s| Knee::new(softness, length_s / tau)),
             time_constant_s: tau,
             min_v: amplifier.min_v,
             max_v: amplifier.max_v,
@@ -193,7 +156,7 @@ impl AmplifierSim {
     #[inline]
     pub fn advance(&mut self, target_v: f64, load: Load, time_s: f64) -> f64 {
         if self.plain {
-            let v = target_v + (self.state_v - target_v) * self.late.decay;
+            let v = target_v + (self.state_v - target_v) * self.segments[1].decay;
             self.state_v = clamp(v, self.min_v, self.max_v);
             return self.state_v;
         }
@@ -214,7 +177,8 @@ impl AmplifierSim {
         }
         if self.plain {
             // It goes one way: within the rails in the end is within them throughout.
-            let v = target_v + (self.state_v - target_v) * self.late.decay.powi(steps as i32);
+            let v =
+                target_v + (self.state_v - target_v) * self.segments[1].decay.powi(steps as i32);
             self.state_v = clamp(v, self.min_v, self.max_v);
             return self.state_v;
         }
@@ -234,31 +198,26 @@ impl AmplifierSim {
         let late_target = self.pipeline.front().copied().unwrap_or(target_v);
         let [early_target, late_target] =
             [early_target, late_target].map(|v| passed(&mut self.input, v, time_s));
-        let limits = self.slew.as_ref().map(|slew| {
-            let (down, up) = slew.limits_v_per_s(load.capacitance_f());
-            Limits { down, up, knee: slew.knee() }
-        });
-        if self.early.length_s > 0.0 {
-            self.segment(early_target, self.early, limits);
+        // Steepest fall and rise, V/s.
+        let limits = self.slew.as_ref().map(|slew| slew.limits_v_per_s(load.capacitance_f()));
+        if self.segments[0].length_s > 0.0 {
+            self.segment(early_target, 0, limits);
         }
-        self.segment(late_target, self.late, limits);
+        self.segment(late_target, 1, limits);
         self.output_v(time_s)
     }
 
     /// First order towards the target with the slope held between limits: a ramp, then an exponential, or what a knee makes of them.
-    fn segment(&mut self, target_v: f64, segment: Segment, limits: Option<Limits>) {
+    fn segment(&mut self, target_v: f64, part: usize, limits: Option<(f64, f64)>) {
+        let (segment, knee) = (self.segments[part], &self.knees[part]);
         let gap = target_v - self.state_v;
-        if let Some(Limits { down, up, knee: softness }) = limits {
+        if let Some((down, up)) = limits {
             let slope = if gap > 0.0 { up } else { down };
-            if softness > 0.0 && self.time_constant_s > 0.0 {
-                let asked = gap.abs() / (slope * self.time_constant_s);
-                if asked < unbent(softness) {
-                    self.approach(target_v, segment);
-                    return;
+            if let Some(knee) = knee {
+                match knee.left(gap.abs() / (slope * self.time_constant_s)) {
+                    Some(left) => self.ramp(target_v - gap * left, segment.length_s),
+                    None => self.approach(target_v, segment),
                 }
-                let left = soft_approach(asked, softness, segment.length_s / self.time_constant_s);
-                let left = if asked > 0.0 { left / asked } else { 1.0 };
-                self.ramp(target_v - gap * left, segment.length_s);
                 return;
             }
             // Where the exponential becomes slower than the limit.
@@ -304,39 +263,4 @@ impl AmplifierSim {
 fn clamp(v: f64, min: f64, max: f64) -> f64 {
     let v = if v < max { v } else { max };
     if v > min { v } else { min }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_a_knee_does_not_bend_goes_exponentially() {
-        for knee in [0.05, 0.2, 0.5, 1.0] {
-            for length in [0.05, 0.25] {
-                let asked = unbent(knee);
-                let left = soft_approach(asked, knee, length);
-                let error = left / (asked * (-length).exp()) - 1.0;
-                // That of the integration.
-                assert!(error.abs() < 2.0e-5, "knee {knee}, {length}: {error:e}");
-                let slope = soft_slope(asked, knee) / asked - 1.0;
-                assert!(slope.abs() < 3.0e-9, "knee {knee}: {slope:e}");
-            }
-        }
-    }
-
-    #[test]
-    fn a_slope_beyond_its_limit_is_the_limit() {
-        for knee in [0.05, 0.3, 1.0] {
-            for asked in [0.0, 1.0e-6, 0.3, 1.0, 2.0, 40.0, 1.0e6] {
-                let root = |power: f64| power.powf(1.0 / knee);
-                let expected = asked * (1.0 + root(asked)).powf(-knee);
-                let found = soft_slope(asked, knee);
-                if root(asked).is_finite() {
-                    assert!((found - expected).abs() <= 1.0e-12 * expected, "{knee}, {asked}");
-                }
-                assert!((0.0..=1.0).contains(&found));
-            }
-        }
-    }
 }

@@ -10,6 +10,7 @@ pub mod axis;
 pub mod creep;
 pub mod group;
 pub mod hysteresis;
+mod knee;
 pub mod mechanism;
 pub mod model;
 mod pace;

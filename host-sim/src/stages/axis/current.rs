@@ -93,10 +93,7 @@ impl ByCurrent {
 
     /// Begin a tick in which the output goes from where it is by `change_v`, in a branch that has its input and its capacitance; sets the
     /// factors in it.
-    ///
-    /// Where the current turns it is zero in between, and with it the growth: that is where the charge goes farthest, and the
-    /// loop from there on hangs on it. A tick would miss it, so the elements go there first.
-    #[inline]
+    #[inline(always)]
     pub(super) fn begin<E: SlipElements>(
         &mut self,
         elements: &mut E,
@@ -105,6 +102,21 @@ impl ByCurrent {
         change_v: f64,
     ) {
         branch.drag_v_per_c = self.drag.linear_v_per_c;
+        if self.law.is_some() {
+            self.begin_by_law(elements, branch, transducer_v, change_v);
+        }
+    }
+
+    /// Where the current turns it is zero in between, and with it the growth: that is where the charge goes farthest, and the
+    /// loop from there on hangs on it. A tick would miss it, so the elements go there first.
+    #[inline(never)]
+    fn begin_by_law<E: SlipElements>(
+        &mut self,
+        elements: &mut E,
+        branch: &mut Branch,
+        transducer_v: f64,
+        change_v: f64,
+    ) {
         let Some(law) = &self.law else { return };
         let before = self.speed_v_per_s;
         let (left, per_v) = self.through.end;
@@ -136,7 +148,7 @@ impl ByCurrent {
     }
 
     /// Solve a tick that was begun: transducer voltage, V.
-    #[inline]
+    #[inline(always)]
     pub(super) fn solve<E: SlipElements>(&mut self, elements: &mut E, branch: &Branch) -> f64 {
         self.drag.solve(elements, branch)
     }
@@ -193,13 +205,19 @@ impl Drag {
         (per_c * drawn_c, per_c * (1.0 + (self.exponent - 1.0) * u * u / square))
     }
 
-    /// Newton on what is drawn, with a power law taken by its tangent, inside a bracket: voltage and elements both rise with it, so a
-    /// tangent points to the side of the answer.
-    #[inline]
+    #[inline(always)]
     fn solve<E: SlipElements>(&mut self, elements: &mut E, branch: &Branch) -> f64 {
         if self.exponent == 1.0 || self.linear_v_per_c == 0.0 {
-            return elements.solve(branch);
+            elements.solve(branch)
+        } else {
+            self.solve_power(elements, branch)
         }
+    }
+
+    /// Newton on what is drawn, with a power law taken by its tangent, inside a bracket: voltage and elements both rise with it, so a
+    /// tangent points to the side of the answer.
+    #[inline(never)]
+    fn solve_power<E: SlipElements>(&mut self, elements: &mut E, branch: &Branch) -> f64 {
         let mut at = self.last_c;
         let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
         let mut transducer_v = 0.0;
