@@ -137,7 +137,10 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
             let mut other = scene.clone();
             split(&mut other, &missed);
             let mut of_other = nominal.clone();
-            if !can_contradict(&other, &excess) {
+            let axes = 0..rig.axes.len();
+            if !can_contradict(&other, &excess)
+                || axes.into_iter().any(|axis| !can_contradict_on(&other, &excess, axis))
+            {
                 hold_out_last_third(&mut other);
                 other.set_aside_memory(rig)?;
                 let white = other.residuals_at(rig, Wanted::ALL, everything)?;
@@ -146,13 +149,19 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
             let session = (&other, rig);
             let known = found.as_ref();
             let second = found::search(session, &effects, &ranges, &bar, &of_other.gaps, known)?;
-            // The look that closes more of the whole session stands.
-            let open = |scene: &Scene, raw: &Stack, found: &Option<Found>| -> Result<f64, Error> {
-                let Some(f) = found else { return Ok(f64::INFINITY) };
-                let after = scene.raw(&f.model.fit.rig, everything)?;
-                Ok(Energies::new(scene, raw, &after, &everything).excess().1)
+            // The look stands that closes more of the whole session where it is believed.
+            let open = |scene: &Scene, of: &Nominal, found: &Option<Found>| -> Result<f64, Error> {
+                let believed = match found.clone() {
+                    Some(found) => {
+                        found::abstain(rig, scene, found, &of.raw, &of.gaps, &mut Vec::new())?
+                    }
+                    None => None,
+                };
+                let Some(found) = believed else { return Ok(f64::INFINITY) };
+                let after = scene.raw(&found.model.fit.rig, everything)?;
+                Ok(Energies::new(scene, &of.raw, &after, &everything).excess().1)
             };
-            if open(&other, &of_other.raw, &second)? < open(&scene, &nominal.raw, &found)? {
+            if open(&other, &of_other, &second)? < open(&scene, &nominal, &found)? {
                 if other.channels.len() > scene.channels.len() {
                     notes.push("The gap shows in few recordings, each of them unlike the others: the last third of every recording was held out instead of whole recordings.".into());
                 }
@@ -203,6 +212,12 @@ const NEXT_TO_NOTHING: f64 = 0.02;
 fn can_contradict(scene: &Scene, excess: &[f64]) -> bool {
     let any = !found::with_gap(scene, excess, |c| c.held_out).is_empty();
     any && share_of_gap(scene, excess, |c| c.held_out) > TO_CONTRADICT
+}
+
+/// Whether what is held out shows enough of the gap of an axis, if it has any.
+fn can_contradict_on(scene: &Scene, excess: &[f64], axis: usize) -> bool {
+    found::with_gap(scene, excess, |c| c.axis == axis).is_empty()
+        || !found::with_gap(scene, excess, |c| c.axis == axis && c.held_out).is_empty()
 }
 
 /// Share of the gap of all positions that some channels hold.

@@ -19,6 +19,7 @@ const LEFTOVER_MARGIN: f64 = 0.5;
 const MOST_RIVALS: usize = 2;
 
 /// How the causes of a model stand.
+#[derive(Clone)]
 pub struct Standings {
     /// One a term.
     pub causes: Vec<CauseStanding>,
@@ -27,6 +28,7 @@ pub struct Standings {
 }
 
 /// Confidence in a cause and the names of those that cannot be told from it.
+#[derive(Clone)]
 pub struct CauseStanding {
     /// Probability among all that were tried.
     pub confidence: f64,

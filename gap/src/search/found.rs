@@ -20,6 +20,7 @@ use crate::session::energy::Energies;
 use crate::session::scene::{Channel, Scene, Stack, Wanted};
 
 /// A search that found something.
+#[derive(Clone)]
 pub(crate) struct Found {
     /// Fitted on the fit recordings.
     pub model: Model,
@@ -72,6 +73,7 @@ pub(crate) fn search(
 }
 
 /// What the effects of a model are worth by themselves and beside the others.
+#[derive(Clone)]
 pub(crate) struct Apart {
     /// The rig of the best model with this effect alone.
     pub alone: Rig,
@@ -206,32 +208,42 @@ const MISSED_SHARE: f64 = 0.01;
 /// ... and of its energy with the weights undone: what is next to nothing in nanometres is not worth a second search.
 const MISSED_ENERGY: f64 = 0.002;
 
-/// Held-out recordings whose gap the model leaves open: worth a look with these recordings among the fitted ones.
+/// ... and of that of one axis, where the recordings that are fitted hold next to nothing of it.
+const SEEN_SHARE: f64 = 0.02;
+
+/// Held-out recordings whose gap the model leaves open, all of it or that of an axis on which the others show none: worth a look with
+/// these recordings among the fitted ones.
 fn missed(scene: &Scene, rig: &Rig, model: &Model) -> Result<Vec<usize>, Error> {
-    let held = |c: &Channel| c.held_out;
-    let mut stacks = scene.residuals(&[(rig, Wanted::ALL), (&model.fit.rig, Wanted::ALL)], held)?;
-    let after = stacks.remove(1);
-    let before = stacks.remove(0);
-    let whole = cost(&before) - scene.noise_on(&before, u32::MAX);
-    let energy = scene.excess(&before);
-    let mut missed = Vec::new();
-    for track in 0..scene.tracks.len() {
-        let pick = |stack: &Stack| -> Stack {
-            stack
-                .iter()
-                .zip(&scene.channels)
-                .map(|(row, c)| if c.track == track { row.clone() } else { None })
-                .collect()
+    let mut stacks =
+        scene.residuals(&[(rig, Wanted::ALL), (&model.fit.rig, Wanted::ALL)], |_| true)?;
+    let (after, before) = (stacks.remove(1), stacks.remove(0));
+    let pick = |stack: &Stack, include: &dyn Fn(&Channel) -> bool| -> Stack {
+        let rows = stack.iter().zip(&scene.channels);
+        rows.map(|(row, c)| row.clone().filter(|_| include(c))).collect()
+    };
+    let of_all = pick(&before, &|c| c.held_out);
+    let whole = cost(&of_all) - scene.noise_on(&of_all, u32::MAX);
+    let energy = scene.excess(&of_all);
+    let is_unseen = |&axis: &usize| {
+        let here = |held_out: bool| {
+            scene.excess(&pick(&before, &|c| c.axis == axis && c.held_out == held_out))
         };
-        let (b, a) = (pick(&before), pick(&after));
-        let noise = scene.noise_on(&b, u32::MAX);
-        let (gap, left) = (cost(&b) - noise, cost(&a) - noise);
-        let is_open = gap > MISSED_GAP.max(MISSED_SHARE * whole) && left > 0.5 * gap;
-        if is_open && scene.excess(&a) > MISSED_ENERGY * energy {
-            missed.push(track);
-        }
-    }
-    Ok(missed)
+        here(false) < SEEN_SHARE * here(true)
+    };
+    let unseen = (0..rig.axes.len()).filter(is_unseen).map(|axis| 1 << axis);
+    let parts: Vec<u32> = std::iter::once(u32::MAX).chain(unseen).collect();
+    let is_missed = |&track: &usize| {
+        parts.iter().any(|axes| {
+            let here = |c: &Channel| c.held_out && c.track == track && axes >> c.axis & 1 == 1;
+            let (b, a) = (pick(&before, &here), pick(&after, &here));
+            let noise = scene.noise_on(&b, u32::MAX);
+            let (gap, left) = (cost(&b) - noise, cost(&a) - noise);
+            gap > MISSED_GAP.max(MISSED_SHARE * whole)
+                && left > 0.5 * gap
+                && scene.excess(&a) > MISSED_ENERGY * energy
+        })
+    };
+    Ok((0..scene.tracks.len()).filter(is_missed).collect())
 }
 
 /// Energy beyond noise of every channel, noise variances: of residuals whitened with the weights that the channels have now.
