@@ -16,3 +16,11 @@ fn a_gap_of_one_recording_is_checked_on_a_part_of_it() {
     assert!(diagnosis.gap.before_nm > 10.0 * diagnosis.gap.floor_nm, "{:?}", diagnosis.gap);
     assert!(diagnosis.recordings.iter().all(|r| r.role == Role::Fit));
 }
+
+#[test]
+fn an_axis_whose_gap_is_in_one_recording_held_out_is_looked_at_again() {
+    // Another axis has the same limit, and shows it in a recording that is fitted.
+    let diagnosis = drawn(12121, 69, &["amplifier-current-limit"]);
+    let named = vec![("amplifier-current-limit", &[1, 2][..])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+}
