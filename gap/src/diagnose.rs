@@ -137,9 +137,9 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
             let mut other = scene.clone();
             split(&mut other, &missed);
             let mut of_other = nominal.clone();
-            let axes = 0..rig.axes.len();
+            let counted = (0..rig.axes.len()).filter(|&axis| nominal.gaps[axis].counts);
             if !can_contradict(&other, &excess)
-                || axes.into_iter().any(|axis| !can_contradict_on(&other, &excess, axis))
+                || counted.into_iter().any(|axis| !is_held_out_on(&other, &excess, axis))
             {
                 hold_out_last_third(&mut other);
                 other.set_aside_memory(rig)?;
@@ -163,7 +163,7 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
             };
             if open(&other, &of_other, &second)? < open(&scene, &nominal, &found)? {
                 if other.channels.len() > scene.channels.len() {
-                    notes.push("The gap shows in few recordings, each of them unlike the others: the last third of every recording was held out instead of whole recordings.".into());
+                    notes.push("The gap, or that of an axis, shows in few recordings, each of them unlike the others: the last third of every recording was held out instead of whole recordings.".into());
                 }
                 (found, scene, nominal) = (second, other, of_other);
             }
@@ -214,8 +214,8 @@ fn can_contradict(scene: &Scene, excess: &[f64]) -> bool {
     any && share_of_gap(scene, excess, |c| c.held_out) > TO_CONTRADICT
 }
 
-/// Whether what is held out shows enough of the gap of an axis, if it has any.
-fn can_contradict_on(scene: &Scene, excess: &[f64], axis: usize) -> bool {
+/// Whether some recording that is held out has a gap of its own on an axis, if any has.
+fn is_held_out_on(scene: &Scene, excess: &[f64], axis: usize) -> bool {
     found::with_gap(scene, excess, |c| c.axis == axis).is_empty()
         || !found::with_gap(scene, excess, |c| c.axis == axis && c.held_out).is_empty()
 }

@@ -79,6 +79,11 @@ fn calm_ticks_taken_at_once_come_to_where_single_ones_do() {
     let mut heavy = nominal.clone();
     heavy.set("inertia", Place::Axis(1), "added_kg", 30.0).unwrap();
     rigs.push(("a heavy inertia".to_owned(), heavy));
+    // So does what rubs less the slower it goes.
+    let mut creeping = nominal.clone();
+    creeping.set("friction", Place::Axis(1), "coulomb_n", 5.0).unwrap();
+    creeping.set("friction", Place::Axis(1), "creeping_m_per_s", 5.0e-6).unwrap();
+    rigs.push(("friction that falls".to_owned(), creeping));
     let mut leaping = 0;
     for (name, rig) in &rigs {
         let (rms_nm, worst_nm) = off_nm(rig, 1);
@@ -87,6 +92,6 @@ fn calm_ticks_taken_at_once_come_to_where_single_ones_do() {
         assert!(rms_nm < 0.02 && worst_nm < 0.2, "{name}: {rms_nm} nm rms, {worst_nm} nm at worst");
         leaping += usize::from(rms_nm > 0.0);
     }
-    // Leaps are seen by what they differ by: axes tied by springs, losses of strain and slow swings take none.
+    // Leaps are seen by what they differ by: axes tied by springs, what goes with the current, time or speed, and slow swings take none.
     assert!(2 * leaping > rigs.len(), "{leaping} of {} differ at all", rigs.len());
 }

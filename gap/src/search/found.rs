@@ -208,7 +208,7 @@ const MISSED_SHARE: f64 = 0.01;
 /// ... and of its energy with the weights undone: what is next to nothing in nanometres is not worth a second search.
 const MISSED_ENERGY: f64 = 0.002;
 
-/// ... and of that of one axis, where the recordings that are fitted hold next to nothing of it.
+/// Share of an axis' gap in what is held out below which the recordings that are fitted count as showing none of it.
 const SEEN_SHARE: f64 = 0.02;
 
 /// Held-out recordings whose gap the model leaves open, all of it or that of an axis on which the others show none: worth a look with
@@ -219,7 +219,7 @@ fn missed(scene: &Scene, rig: &Rig, model: &Model) -> Result<Vec<usize>, Error> 
     let (after, before) = (stacks.remove(1), stacks.remove(0));
     let pick = |stack: &Stack, include: &dyn Fn(&Channel) -> bool| -> Stack {
         let rows = stack.iter().zip(&scene.channels);
-        rows.map(|(row, c)| row.clone().filter(|_| include(c))).collect()
+        rows.map(|(row, c)| row.as_ref().filter(|_| include(c)).cloned()).collect()
     };
     let of_all = pick(&before, &|c| c.held_out);
     let whole = cost(&of_all) - scene.noise_on(&of_all, u32::MAX);

@@ -350,9 +350,9 @@ impl<'a> Search<'a> {
         if let Some(values) = self.hopeless_on_few(&terms, &start, effort, line)? {
             return self.fit_model(terms, values, Effort { iterations: 0, ..effort });
         }
-        let model = self.fit_model(terms, start, effort)?;
+        let model = self.fit_model(terms, start.clone(), effort)?;
         let model = self.other_variety(model, effort)?;
-        let model = self.other_law(model, effort)?;
+        let model = self.other_law(model, &start, effort)?;
         self.even_out(model, effort)
     }
 

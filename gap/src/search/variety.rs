@@ -16,24 +16,32 @@ use crate::search::select::{CLOSED, Search, WORTH_OF_FIRST};
 /// Effect, the parameter that is zero in the plain variety, where the other one starts, and by how much the effect's first size grows there.
 const VARIETIES: [(&str, &str, f64, f64); 1] = [("amplifier-current-limit", "knee", 0.35, 1.25)];
 
-/// Effect with laws of several kinds: for each the parameters that are not at their zero in it.
-const LAWS: [(&str, [&[&str]; 3]); 1] = [(
+/// Effect with laws of several kinds: for each the parameters that are not at their zero where a fit of it begins.
+const BEGINNINGS: [(&str, [&[&str]; 3]); 1] = [(
     "hysteresis-rate",
     [&["per_decade"], &["resistance_ohm", "loss_exponent"], &["strain_loss_v"]],
 )];
-/// Share of the gap up to which a law has to leave for others to be tried.
-const NEAR: f64 = 0.2;
+/// Share of the gap that a law may leave at most for others to be tried.
+const WORTH_OTHERS: f64 = 0.2;
 
 impl Search<'_> {
-    /// `model` of one effect, or the same with another law of it, whichever leaves least.
-    pub(crate) fn other_law(&self, model: Model, effort: Effort) -> Result<Model, Error> {
+    /// `model` of one effect, whose fit began at `begun`, or the same begun with another law of it, whichever leaves least.
+    pub(crate) fn other_law(
+        &self,
+        model: Model,
+        begun: &[f64],
+        effort: Effort,
+    ) -> Result<Model, Error> {
         let [term] = model.terms.as_slice() else { return Ok(model) };
         let info = term.effect.info();
-        let Some((_, laws)) = LAWS.iter().find(|(name, _)| *name == info.name) else {
+        let Some((_, laws)) = BEGINNINGS.iter().find(|(name, _)| *name == info.name) else {
             return Ok(model);
         };
         let left = model.fit.cost - self.noise;
-        if left < CLOSED * self.gap || left > NEAR * self.gap || model.fit.cost > effort.hopeless {
+        if left < CLOSED * self.gap
+            || left > WORTH_OTHERS * self.gap
+            || model.fit.cost > effort.hopeless
+        {
             return Ok(model);
         }
         let follows = |law: &[&str], values: &[f64]| {
@@ -41,16 +49,18 @@ impl Search<'_> {
             !info.parameters.iter().zip(values).any(is_off)
         };
         let mut best: Option<Model> = None;
+        let width = info.parameters.len();
         for law in laws {
-            if (0..term.places.len()).any(|place| follows(law, model.values(0, place))) {
+            if begun.chunks(width).all(|values| follows(law, values)) {
                 continue;
             }
-            let start = |&place: &Place| {
-                self.screen.start_by(&self.base, info.name, place, |values| follows(law, values))
+            // Where the law does nothing by itself, what was found stays.
+            let start = |(nth, &place): (usize, &Place)| {
+                self.screen
+                    .start_by(&self.base, info.name, place, |values| follows(law, values))
+                    .unwrap_or_else(|| model.values(0, nth).to_vec())
             };
-            let Some(start) = term.places.iter().map(start).collect::<Option<Vec<_>>>() else {
-                continue;
-            };
+            let start: Vec<Vec<f64>> = term.places.iter().enumerate().map(start).collect();
             let other = self.fit_model(model.terms.clone(), start.concat(), effort)?;
             if other.fit.cost < best.as_ref().unwrap_or(&model).fit.cost {
                 best = Some(other);

@@ -160,7 +160,7 @@ impl Scene {
     /// A stack with the channels of one axis alone.
     pub fn on_axis(&self, stack: &Stack, axis: usize) -> Stack {
         let rows = stack.iter().zip(&self.channels);
-        rows.map(|(row, c)| row.clone().filter(|_| c.axis == axis)).collect()
+        rows.map(|(row, c)| row.as_ref().filter(|_| c.axis == axis).cloned()).collect()
     }
 
     /// Give the `fastest` bands of every channel no weight.

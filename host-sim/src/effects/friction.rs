@@ -6,6 +6,9 @@ use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
 use crate::stages::model::{Force, Model};
 use crate::stages::speed::EndSpeed;
 
+/// Creeping speed at which friction is the same at all speeds, m/s.
+const EVERY_SPEED_M_PER_S: f64 = 1.0e-8;
+
 pub(super) struct Friction;
 
 pub(super) const EFFECT: Friction = Friction;
@@ -18,7 +21,7 @@ static INFO: Info = Info {
     parameters: &[
         Parameter::size("coulomb_n", "N", 0.0, (0.0, 1.0e5), 3.0, "friction once sliding"),
         Parameter::shape("presliding_m", "m", (1.0e-9, 1.0e-4), 1.0e-7, "displacement in which it builds up").by_ratio(),
-        Parameter::shape("creeping_m_per_s", "m/s", (1.0e-8, 1.0e-1), 1.0e-8, "speed below which it falls").by_ratio(),
+        Parameter::shape("creeping_m_per_s", "m/s", (EVERY_SPEED_M_PER_S, 1.0e-1), EVERY_SPEED_M_PER_S, "speed below which it falls").by_ratio(),
     ],
     threshold: false,
     physics: "Dahl: dF/dx = -(coulomb/presliding) (1 + F sgn(dx)/coulomb), so after a reversal the force goes to the other \
@@ -91,6 +94,10 @@ impl Force for Dahl {
             self.speed.commit(x_m - self.at_m);
         }
         self.at_m = x_m;
+    }
+
+    fn goes_with_time(&self) -> bool {
+        self.creeping_m_per_s > EVERY_SPEED_M_PER_S
     }
 }
 

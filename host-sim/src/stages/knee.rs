@@ -3,30 +3,35 @@
 //! What is left of a way after a part of a tick depends only on how much there was, as long as both are counted in what the limit covers
 //! in one time constant: a table of it is integrated once, and looked up in every tick.
 
-/// Longest step, in time constants, in which an approach with a knee is integrated: Runge-Kutta's error is then 1e-6 of the way.
+/// Longest step, in time constants, in which an approach with a knee is integrated: Runge-Kutta's error is then 1e-5 of the way.
 const LONGEST_STEP: f64 = 0.25;
-/// Entries of a table.
-const ENTRIES: usize = 512;
+/// Entries of a table: its cubics are then 2e-6 off.
+const ENTRIES: usize = 256;
+/// Time constants in a part beyond which nothing is left of a way that a knee could bend: its limit is a corner then.
+const LONGEST: f64 = 64.0;
 /// How far from the corner a knee bends nothing, in its own width: it takes less than 3e-9 there.
 const BENDS: f64 = 20.0;
 
 /// What a knee makes of a part of a tick.
 #[derive(Debug, Clone)]
 pub struct Knee {
+    /// Length of the part, in time constants.
     length: f64,
-    /// Slopes asked for, in units of the limit, between which a knee bends, and the logarithm of the lower one.
+    /// Slope asked for, in units of the limit, below which the knee bends nothing.
     unbent: f64,
+    /// ... and from which the limit holds throughout.
     straight: f64,
+    /// Logarithm of the slope at the first entry, and from one to the next.
     first: f64,
     per_entry: f64,
-    /// Share left, and its slope from entry to entry.
+    /// Share of the way that is left, and its slope a step of the table.
     table: Vec<(f64, f64)>,
 }
 
 impl Knee {
     /// Of a softness from 0 to 1 and a part of so many time constants; none where there is nothing to bend.
     pub fn new(softness: f64, length: f64) -> Option<Self> {
-        if !(softness > 0.0 && length > 0.0 && length.is_finite()) {
+        if !(softness > 0.0 && length > 0.0 && length < LONGEST) {
             return None;
         }
         let first = -BENDS * softness;
@@ -36,7 +41,7 @@ impl Knee {
         let entry = |k: usize| {
             let asked = (first + per_entry * k as f64).exp();
             let left = approach(asked, softness, length);
-            // All of a way goes as its end does: both at the slopes that are left to them.
+            // Of two ways that follow each other what lies between them shrinks as the slopes do: d left / d asked is their ratio.
             let slope = soft_slope(left, softness) / soft_slope(asked, softness) - left / asked;
             (left / asked, slope * per_entry)
         };
@@ -53,7 +58,8 @@ impl Knee {
     /// Share of a way that is left at the end, which asks for `asked` times the limit at the start; none where nothing bends it.
     #[inline]
     pub fn left(&self, asked: f64) -> Option<f64> {
-        if asked < self.unbent {
+        // Also where neither way nor limit is left: not a number.
+        if asked.is_nan() || asked < self.unbent {
             return None;
         }
         if asked >= self.straight {

@@ -6,20 +6,26 @@ use crate::stages::model::{LOSS_AT_A, PiezoModel, RateLaw};
 /// Time in which growth follows the current, s: a sample at 10 kHz. The current of an amplifier that is told another voltage jumps; no
 /// recording shows how much faster the walls of domains are.
 const FOLLOWS_S: f64 = 1.0e-4;
-/// What lasts no longer than this is not followed, s: after an edge the current is through zero in microseconds.
+/// Growth does not follow the current through zero any closer than it comes on the average of this time, s: after an edge it is through in
+/// microseconds.
 const BRIEF_S: f64 = 4.0e-6;
+/// Ticks longer than so many time constants of the amplifier do not say when in them it moved: it is taken to go straight.
+const LONG: f64 = 8.0;
 
-/// Both, as far as a stack has them.
+/// Growing limits and loss of one stack, as far as it has them.
 pub(super) struct ByCurrent {
     law: Option<Box<dyn RateLaw>>,
     drag: Drag,
+    /// The loss over what the elements have yet to go of this tick, if they have been taken through a part of it.
+    rest: Option<Drag>,
     /// What a stack takes whose elements all slip, F.
     capacitance_f: f64,
     through: Through,
+    /// The same where the output is known from tick to tick.
+    straight: Through,
+    is_straight: bool,
     /// Change of the output that the growth follows, V/s.
     speed_v_per_s: f64,
-    /// How much of the tick the elements have yet to go.
-    to_go: f64,
 }
 
 /// How the output goes through a tick, exponentially, and what follows its speed.
@@ -35,21 +41,30 @@ struct Through {
 }
 
 impl Through {
+    /// In a tick of `step_s` with a time constant of `shape_s`.
     fn new(step_s: f64, shape_s: f64) -> Self {
+        if step_s > LONG * shape_s {
+            return Self::straight(step_s);
+        }
         // A hundredth apart: of equal ones the formula is 0 by 0.
         let near = (shape_s / FOLLOWS_S - 1.0).abs() < 0.01;
-        let shape_s = if near { 1.01 * FOLLOWS_S } else { shape_s.max(1.0e-6) };
+        let shape_s = if near { 1.01 * FOLLOWS_S } else { shape_s };
         let all = -(-step_s / shape_s).exp_m1();
-        let left = (-step_s / FOLLOWS_S).exp();
-        let per_v = (1.0 - all - left) / (all * (shape_s - FOLLOWS_S));
+        let [tail, left] = [shape_s, FOLLOWS_S].map(|time_s| (-step_s / time_s).exp());
+        let per_v = (tail - left) / (all * (shape_s - FOLLOWS_S));
         Self { step_s, shape_s, all, end: (left, per_v) }
+    }
+
+    /// As good as straight.
+    fn straight(step_s: f64) -> Self {
+        Self::new(step_s, 1.0e3 * step_s.max(FOLLOWS_S))
     }
 
     /// When a speed is zero that begins at `before`, s, and how fast it goes through, V/s^2.
     fn turn(&self, before: f64, change_v: f64) -> (f64, f64) {
         let towards = change_v / (self.all * (self.shape_s - FOLLOWS_S));
         let sooner = 1.0 / FOLLOWS_S - 1.0 / self.shape_s;
-        let turn_s = (1.0 - before / towards).ln() / sooner;
+        let turn_s = (1.0 - before / towards).max(f64::MIN_POSITIVE).ln() / sooner;
         (turn_s, towards * sooner * (-turn_s / self.shape_s).exp())
     }
 
@@ -74,9 +89,11 @@ impl ByCurrent {
             law: piezo.rate.take(),
             drag: Drag { linear_v_per_c, exponent, at_c, last_c: 0.0, next_c: 0.0 },
             capacitance_f: 1.0 / free_elastance,
+            rest: None,
             through: Through::new(step_s, shape_s),
+            straight: Through::straight(step_s),
+            is_straight: false,
             speed_v_per_s: 0.0,
-            to_go: 1.0,
         }
     }
 
@@ -86,9 +103,10 @@ impl ByCurrent {
         self.law.is_some()
     }
 
-    /// Forget the ticks before.
-    pub(super) fn start(&mut self) {
+    /// Forget the ticks before; in those to come the output is known, or the amplifier's.
+    pub(super) fn start(&mut self, is_known: bool) {
         (self.speed_v_per_s, self.drag.last_c) = (0.0, 0.0);
+        (self.rest, self.is_straight) = (None, is_known);
     }
 
     /// Begin a tick in which the output goes from where it is by `change_v`, in a branch that has its input and its capacitance; sets the
@@ -108,7 +126,8 @@ impl ByCurrent {
     }
 
     /// Where the current turns it is zero in between, and with it the growth: that is where the charge goes farthest, and the
-    /// loop from there on hangs on it. A tick would miss it, so the elements go there first.
+    /// loop from there on hangs on it. A tick would miss it, so the elements go there first, on the line through where they are: in a part of a
+    /// tick neither a swing nor creep moves the stage by what counts.
     #[inline(never)]
     fn begin_by_law<E: SlipElements>(
         &mut self,
@@ -119,29 +138,28 @@ impl ByCurrent {
     ) {
         let Some(law) = &self.law else { return };
         let before = self.speed_v_per_s;
-        let (left, per_v) = self.through.end;
+        let through = if self.is_straight { &self.straight } else { &self.through };
+        let (left, per_v) = through.end;
         let after = left * before + per_v * change_v;
         if before * after < 0.0 {
-            let (turn_s, steep) = self.through.turn(before, change_v);
-            let share = (turn_s / self.through.step_s).clamp(0.01, 0.99);
-            self.drag = self.drag.of_part(share);
+            let (turn_s, steep) = through.turn(before, change_v);
+            let share = (turn_s / through.step_s).clamp(0.01, 0.99);
+            let mut part = self.drag.of_part(share);
             let least = before.abs().min(0.5 * BRIEF_S * steep.abs());
             let (limit_scale, sum_scale) = law.scales(least * self.capacitance_f);
             let turn = Branch {
-                // Through where the tick begins.
                 charge_at_zero_c: elements.charge_c() - branch.capacitance_f * transducer_v,
-                input_v: branch.input_v - (1.0 - self.through.done(share)) * change_v,
-                drag_v_per_c: self.drag.linear_v_per_c,
+                input_v: branch.input_v - (1.0 - through.done(share)) * change_v,
+                drag_v_per_c: part.linear_v_per_c,
                 limit_scale,
                 sum_scale,
                 ..*branch
             };
-            self.drag.solve(elements, &turn);
+            part.solve(elements, &turn);
             elements.commit();
-            self.to_go = 1.0 - share;
-            self.drag = self.drag.of_part(self.to_go / share);
-            self.drag.last_c = self.drag.next_c;
-            branch.drag_v_per_c = self.drag.linear_v_per_c;
+            let rest = self.drag.of_part(1.0 - share);
+            branch.drag_v_per_c = rest.linear_v_per_c;
+            self.rest = Some(Drag { last_c: part.next_c * (1.0 - share) / share, ..rest });
         }
         self.speed_v_per_s = after;
         (branch.limit_scale, branch.sum_scale) = law.scales((after * self.capacitance_f).abs());
@@ -150,17 +168,19 @@ impl ByCurrent {
     /// Solve a tick that was begun: transducer voltage, V.
     #[inline(always)]
     pub(super) fn solve<E: SlipElements>(&mut self, elements: &mut E, branch: &Branch) -> f64 {
-        self.drag.solve(elements, branch)
+        match &mut self.rest {
+            None => self.drag.solve(elements, branch),
+            Some(rest) => rest.solve(elements, branch),
+        }
     }
 
     /// Accept the tick that was last solved.
     #[inline]
     pub(super) fn commit(&mut self) {
-        self.drag.last_c = self.drag.next_c;
-        if self.to_go != 1.0 {
-            self.drag = self.drag.of_part(1.0 / self.to_go);
-            self.to_go = 1.0;
-        }
+        self.drag.last_c = match self.rest.take() {
+            None => self.drag.next_c,
+            Some(rest) => rest.next_c * self.drag.at_c / rest.at_c,
+        };
     }
 }
 
@@ -186,14 +206,13 @@ impl Drag {
     /// Most rounds; a bracket of a whole tick is halved to nothing in as many.
     const ROUNDS: usize = 40;
 
-    /// The same in steps of this part of the length.
-    fn of_part(self, part: f64) -> Self {
+    /// The same over a part of a tick.
+    fn of_part(&self, part: f64) -> Self {
         Self {
             linear_v_per_c: self.linear_v_per_c / part,
             at_c: self.at_c * part,
             last_c: self.last_c * part,
-            next_c: self.next_c * part,
-            ..self
+            ..*self
         }
     }
 

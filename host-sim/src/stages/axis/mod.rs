@@ -77,9 +77,9 @@ impl AxisSim {
         let Steps { mechanism, creep, ticks, .. } = Steps::new(&model, step_s, shape_s, &added);
         // What depends on the current changes in every tick, and a loss of strain goes by the ways of two steps of one length.
         let PiezoModel { strain_loss, rate, resistance_ohm, .. } = &model.piezo;
-        let by_current = strain_loss.is_some() || rate.is_some() || *resistance_ohm != 0.0;
-        let by_time = model.mechanism.forces.iter().any(|force| force.goes_with_time());
-        let leap = leap.filter(|_| !by_current && !by_time);
+        let with_current = strain_loss.is_some() || rate.is_some() || *resistance_ohm != 0.0;
+        let with_time = model.mechanism.forces.iter().any(|force| force.goes_with_time());
+        let leap = leap.filter(|_| !with_current && !with_time);
         // Over several calm ticks an amplifier goes straight.
         let other = leap.map(|ticks| {
             let shape_s = if ticks > 1 { f64::INFINITY } else { shape_s };
@@ -161,7 +161,7 @@ impl AxisSim {
     /// Come to rest at an initial state, with `target_v` asked of the amplifier; `output_v` overrides its output.
     pub fn start(&mut self, initial: &Initial, target_v: f64, time_s: f64, output_v: Option<f64>) {
         self.travels_m = [0.0; 2];
-        self.by_current.start();
+        self.by_current.start(output_v.is_some());
         self.amplifier.start(initial.amplifier_v.unwrap_or(target_v), target_v);
         self.output_v = output_v.unwrap_or_else(|| self.amplifier.output_v(time_s));
         match &initial.memory {

@@ -57,7 +57,7 @@ pub trait SlipElements {
     fn tangent_towards(&self, rising: bool) -> f64;
     /// Charge at the start of the tick, C.
     fn charge_c(&self) -> f64;
-    /// Charge drawn in the tick that was last solved, C.
+    /// Charge drawn in the tick that was last solved, C, until that is accepted.
     fn drawn_c(&self) -> f64;
     /// Solve for this tick without leaving the start of it: transducer voltage, V. `commit` accepts.
     fn solve(&mut self, branch: &Branch) -> f64;
