@@ -137,10 +137,9 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
             let mut other = scene.clone();
             split(&mut other, &missed);
             let mut of_other = nominal.clone();
-            let counted = (0..rig.axes.len()).filter(|&axis| nominal.gaps[axis].counts);
-            if !can_contradict(&other, &excess)
-                || counted.into_iter().any(|axis| !is_held_out_on(&other, &excess, axis))
-            {
+            let is_unchecked =
+                |axis: usize| nominal.gaps[axis].counts && !is_held_out_on(&other, &excess, axis);
+            if !can_contradict(&other, &excess) || (0..rig.axes.len()).any(is_unchecked) {
                 hold_out_last_third(&mut other);
                 other.set_aside_memory(rig)?;
                 let white = other.residuals_at(rig, Wanted::ALL, everything)?;
