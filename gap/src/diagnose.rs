@@ -274,13 +274,13 @@ fn answer(
     let mut final_rig = rig.clone();
     let mut raw_after = raw_before.clone();
     let mut honest_after = raw_before.clone();
-    // What is promised is what a replay of single files gives: it knows nothing of the recording before.
-    let replayed = scene.file_by_file();
+    // What is promised is what a replay of single files gives: of the recording before it knows what the lead-in tells.
     let mut replayed_after = raw_before.clone();
     if let Some(f) = &found {
         raw_after = scene.raw(&f.whole.fit.rig, everything)?;
         honest_after = scene.raw(&f.model.fit.rig, everything)?;
-        replayed_after = replayed.raw(&f.model.fit.rig, everything)?;
+        let fitted = &f.model.fit.rig;
+        replayed_after = scene.file_by_file(fitted)?.raw(fitted, everything)?;
         final_rig = f.whole.fit.rig.clone();
     }
     let in_order = Energies::new(scene, raw_before, &honest_after, &held).gap(axes);
@@ -289,8 +289,7 @@ fn answer(
     let mut claimed = Vec::new();
     let mut staircase = Vec::new();
     if let Some(f) = &found {
-        let (mut list, claims, stairs) =
-            causes_of(rig, (scene, &replayed), f, raw_before, &honest_after)?;
+        let (mut list, claims, stairs) = causes_of(rig, scene, f, raw_before, &honest_after)?;
         let mut order: Vec<usize> = (0..list.len()).collect();
         order.sort_by(|&a, &b| list[b].closes.total_cmp(&list[a].closes));
         let total: f64 = list.iter().map(|c| c.closes).sum();
@@ -345,8 +344,8 @@ fn answer(
         notes.push(if scene.runs_on {
             in_order_nm = Some(in_order.after_nm);
             format!(
-                "Creep runs on from one recording to the next here. The figures are those of a replay of single files, which starts \
-                 without it; taken in the session's order the same rig leaves {:.1} nm of held-out recordings.",
+                "Creep runs on from one recording to the next here. The figures are those of a replay of single files, which knows \
+                 of it what the part before settle_s tells; taken in the session's order the same rig leaves {:.1} nm of held-out recordings.",
                 in_order.after_nm
             )
         } else {

@@ -2,7 +2,8 @@
 //!
 //! In: a rig file and a recording. Out: the recording with the simulated `position_um_K`, and `monitor_v_K` for the
 //! axes whose rig has a monitor; drive, ticks and metadata are those recorded. No noise and no rounding are added. The
-//! electrical memory before the first sample is unknown: a stack that has never been driven is assumed.
+//! electrical memory before the first sample is unknown: a stack that has never been driven is assumed. Creep of what was done to it before
+//! is estimated from the measured positions before `settle_s` (`gap::session::lead_in`); the scored ones are never looked at.
 
 use std::path::{Path, PathBuf};
 
@@ -72,6 +73,13 @@ pub fn predict(rig: &Rig, recording: &Recording, name: &Path) -> anyhow::Result<
         monitor_v: None,
         initial: &[],
     };
+    let measured_m = |axis: usize, row: usize| {
+        Some(f64::from(recording.position_um.get(axis)?.as_ref()?[row]) * 1.0e-6)
+    };
+    let settle = recording.settle_rows();
+    let initial = gap::session::lead_in::initial(rig, &input, settle, measured_m)
+        .with_context(|| name.display().to_string())?;
+    let input = Input { initial: &initial, ..input };
     let output =
         host_sim::simulate(rig, &input, Axes::All).with_context(|| name.display().to_string())?;
     let mut predicted = recording.clone();

@@ -13,11 +13,11 @@ use crate::session::scene::{Channel, Scene, Stack};
 /// Causes, the energy that each claims on each axis (nm^2 times samples), and the gap (nm, held out) after each is added.
 pub(crate) type CauseList = (Vec<Cause>, Vec<Vec<f64>>, Vec<(String, f64)>);
 
-/// Causes with the energy that each closes, by axis, and the gap after each is added in turn, with every recording `replayed` by
+/// Causes with the energy that each closes, by axis, and the gap after each is added in turn, with every recording taken by
 /// itself.
 pub(crate) fn causes_of(
     rig: &Rig,
-    (scene, replayed): (&Scene, &Scene),
+    scene: &Scene,
     found: &Found,
     raw_before: &Stack,
     raw_after: &Stack,
@@ -118,8 +118,8 @@ pub(crate) fn causes_of(
                 knob.write(&mut partial, value)?;
             }
         }
-        let raw = replayed.raw(&partial, held)?;
-        let nm = Energies::new(replayed, raw_before, &raw, &held).gap(axes).after_nm;
+        let raw = scene.file_by_file(&partial)?.raw(&partial, held)?;
+        let nm = Energies::new(scene, raw_before, &raw, &held).gap(axes).after_nm;
         let words: Vec<String> = model.terms[t].places.iter().map(|&p| place_words(p)).collect();
         let place =
             if words.len() > 3 { format!("{} places", words.len()) } else { words.join(", ") };

@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | [`intake`] | lays recordings on their clocks |
 //! | `past`, `memory` | what the stacks went through before a recording begins, and what of that nobody can know |
+//! | [`lead_in`] | what a single recording tells of that before it is scored |
 //! | [`floor`] | noise, measured |
 //! | [`pyramid`], `spectra` | residuals by bands; lines and resonances in their spectra |
 //! | [`split`] | which recordings are fitted, and which only score |
@@ -14,6 +15,7 @@
 pub mod energy;
 pub mod floor;
 pub mod intake;
+pub mod lead_in;
 mod memory;
 pub(crate) mod motions;
 pub(crate) mod past;

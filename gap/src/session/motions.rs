@@ -4,13 +4,15 @@
 //! the axes move as they did. So the motions of the last few points are kept, axis by axis.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use host_sim::motion::{self, AxisMotion, Motion, Upstream, move_axes};
 use host_sim::rig::Rig;
-use host_sim::{Axes, Initial, Input, Output, SimError, simulate};
+use host_sim::{Axes, Initial, Input, Output, SimError, Stretch, simulate};
 
 use crate::Error;
+use crate::session::intake::Track;
+use crate::session::lead_in;
 use crate::session::scene::Scene;
 
 /// Most samples that are kept, of displacement and amplifier output each: 256 MiB in all, or one point of a longer session.
@@ -121,6 +123,33 @@ impl Scene {
         })
     }
 
+    /// Past of every stack before a recording, as far as its lead-in tells; empty where it tells nothing.
+    pub(crate) fn past_by_lead_in(
+        &self,
+        rig: &Rig,
+        track: usize,
+    ) -> Result<Vec<Arc<[Stretch]>>, Error> {
+        let Track { rate_hz, start_s, drive_v, position_um, present, lead_in, .. } =
+            &self.tracks[track];
+        let drive_v: Vec<&[f64]> = drive_v.iter().map(Vec::as_slice).collect();
+        let input = Input {
+            sample_rate_hz: *rate_hz,
+            start_s: *start_s,
+            ticks: None,
+            drive_v: &drive_v,
+            initial: &[],
+            monitor_v: None,
+        };
+        let measured_m = |axis: usize, sample: usize| {
+            let column = position_um[axis].as_ref().filter(|_| present[sample])?;
+            Some(f64::from(column[sample]) * 1.0e-6)
+        };
+        let initial = lead_in::initial(rig, &input, *lead_in, measured_m)?;
+        let known = initial.iter().any(|state| state.past.is_some());
+        let pasts = initial.into_iter().filter(|_| known);
+        Ok(pasts.map(|state| state.past.unwrap_or_default()).collect())
+    }
+
     fn with_input<T>(
         &self,
         track: usize,
@@ -150,8 +179,6 @@ impl Scene {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use host_sim::Place;
 
     use super::*;

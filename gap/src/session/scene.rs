@@ -134,9 +134,22 @@ impl Scene {
         }
     }
 
-    /// The same session, every recording taken by itself, as a replay of a single file does: nothing runs on from the one before.
-    pub fn file_by_file(&self) -> Self {
-        Self { runs_on: false, ..self.clone() }
+    /// The same session for a rig, every recording taken by itself, as a replay of a single file does: what runs on from the one before
+    /// is known as far as its own lead-in tells.
+    pub fn file_by_file(&self, rig: &Rig) -> Result<Self, Error> {
+        let pasts: Vec<_> = (0..self.tracks.len())
+            .into_par_iter()
+            .map(|track| self.past_by_lead_in(rig, track))
+            .collect::<Result<_, Error>>()?;
+        let mut alone = self.clone();
+        alone.runs_on = pasts.iter().any(|past| !past.is_empty());
+        if alone.runs_on {
+            let tracks = alone.tracks.iter().zip(pasts);
+            alone.tracks =
+                Arc::new(tracks.map(|(track, past)| Track { past, ..track.clone() }).collect());
+            alone.motions = Arc::new(Motions::new(0));
+        }
+        Ok(alone)
     }
 
     /// Cost of a stack over the channels of the axes in a mask.
