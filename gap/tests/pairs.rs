@@ -30,6 +30,14 @@ fn two_right_effects_are_preferred_to_three() {
 }
 
 #[test]
+fn one_cause_on_all_axes_is_preferred_to_another_on_one_of_them() {
+    // A stiffness does as well as a stack of another gain on the axis that is clipped.
+    let diagnosis = drawn(14141, 116, &["piezo-gain", "amplifier-clipping"]);
+    let named = vec![("piezo-gain", &[1, 2, 3][..]), ("amplifier-clipping", &[2])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+}
+
+#[test]
 fn a_gain_on_one_axis_is_found_beside_another_gain_on_all() {
     let diagnosis = drawn(2424, 26, &["drive-gain", "piezo-gain"]);
     assert_eq!(diagnosis.verdict, Verdict::Explained);

@@ -18,3 +18,11 @@ fn without_offsets_a_shifted_gauge_is_none_that_drifts() {
     let diagnosis = drawn_without(2424, 67, "sensor-offset");
     assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Unexplained, vec![]));
 }
+
+#[test]
+fn a_drive_that_is_shifted_is_no_shifted_gauge_where_its_monitor_shows_it() {
+    // An offset of the gauge accounts for all that the gauge reads, and for nothing that the monitor does.
+    let diagnosis = drawn_without(14141, 112, "drive-offset");
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Unexplained, vec![]));
+    assert!(diagnosis.notes.iter().any(|note| note.contains("monitor reads")), "{diagnosis:?}");
+}

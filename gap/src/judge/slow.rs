@@ -13,10 +13,10 @@ use crate::Error;
 use crate::diagnosis::Band;
 use crate::fitting::guess::Ranges;
 use crate::fitting::knobs::EffectRef;
-use crate::judge::accept;
-use crate::judge::ambiguity;
+use crate::judge::{accept, ambiguity, monitors};
 use crate::search::found::{Found, apart, refit};
 use crate::search::select::Search;
+use crate::session::energy::Energies;
 use crate::session::floor::Kind;
 use crate::session::pyramid::{MOST_LEFT_OUT, low_pass, share_kept};
 use crate::session::scene::{Channel, Scene, Stack};
@@ -51,6 +51,11 @@ pub(crate) fn cross_axis(
         let after = scene.raw(&model.fit.rig, everything)?;
         let band = band(scene, &raw, &after, left_out);
         if band.before_nm < 2.0 * band.floor_nm || !accept::explains(band.closed()) {
+            continue;
+        }
+        let per_axis = Energies::new(scene, &raw, &after, &everything).gap(rig.axes.len()).per_axis;
+        let missing = monitors::contradicted(rig, scene, [&raw, &after], &per_axis);
+        if missing.iter().any(Option::is_some) {
             continue;
         }
         let standings = ambiguity::standings(&search, &model);

@@ -2,7 +2,11 @@
 //!
 //! Which effects a search adds depends on those it began with. Three that began with a wrong one may leave no more than two right
 //! ones that were never tried: a stack of another gain with the loops that it ought not to have is a gauge of another gain. So of the best
-//! models of a size, which a swap has brought up, each effect is taken out and the rest fitted again.
+//! models of a size, which a swap has brought up, each effect is taken out and the rest fitted again: as it is, and with another effect, that
+//! is on other axes alone, in its place. A stack of another gain on two axes and a stiff mechanism on the third may be three stacks of
+//! another gain, where nothing tells the two apart.
+
+use host_sim::effects::Place;
 
 use crate::Error;
 use crate::fitting::fit::{Effort, cost};
@@ -36,14 +40,19 @@ impl Search<'_> {
         for rival in rivals {
             for t in 0..size {
                 let name = rival.terms[t].name();
+                let effort =
+                    Effort { iterations: 8, tolerance: 2.0e-2, hopeless: open, ..self.effort() };
+                for terms in in_place_of(&rival, t) {
+                    let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = terms.into_iter().unzip();
+                    let wider = self.fit_model(terms, start.concat(), effort)?;
+                    self.remember(wider);
+                }
                 let key: Vec<&str> = rival.key().into_iter().filter(|n| *n != name).collect();
                 if self.is_tried(&key) || self.carries_much(&rival, t)? {
                     continue;
                 }
                 let (terms, start): (Vec<Term>, Vec<Vec<f64>>) =
                     rival.part(|term, _| term.name() != name).into_iter().unzip();
-                let effort =
-                    Effort { iterations: 8, tolerance: 2.0e-2, hopeless: open, ..self.effort() };
                 let rest = self.fit_model(terms, start.concat(), effort)?;
                 self.remember(rest);
             }
@@ -58,4 +67,27 @@ impl Search<'_> {
         let left = cost(&self.scene.residuals_at(&rig, Wanted::ALL, self.include)?);
         Ok(left - self.noise > MUCH * self.gap)
     }
+}
+
+/// The terms of a model but one, for each of the others that is on other axes alone and can take its place there.
+fn in_place_of(model: &Model, term: usize) -> Vec<Vec<(Term, Vec<f64>)>> {
+    let taken = &model.terms[term];
+    let is_on_axes = |term: &Term| term.places.iter().all(|p| matches!(p, Place::Axis(_)));
+    let stands_in = |other: &&Term| {
+        other.name() != taken.name()
+            && is_on_axes(other)
+            && is_on_axes(taken)
+            && taken.places.iter().all(|place| !other.places.contains(place))
+    };
+    let others = model.terms.iter().filter(stands_in);
+    let wider = |other: &Term| {
+        let mut terms = model.part(|term, _| term.name() != taken.name());
+        for (term, values) in terms.iter_mut().filter(|(term, _)| term.name() == other.name()) {
+            let there = values[..values.len() / term.places.len()].to_vec();
+            term.places.extend(&taken.places);
+            taken.places.iter().for_each(|_| values.extend(&there));
+        }
+        terms
+    };
+    others.map(wider).collect()
 }

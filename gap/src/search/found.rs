@@ -15,6 +15,7 @@ use crate::fitting::knobs::{EffectRef, axes_seen, keep_laws};
 use crate::fitting::model::{Model, Term, join_terms, knobs_of, start_terms};
 use crate::judge::accept::{self, AxisGapSize};
 use crate::judge::ambiguity::{self, Standings};
+use crate::judge::monitors::{self, Missing};
 use crate::search::select::{Breadth, Search};
 use crate::session::energy::Energies;
 use crate::session::scene::{Channel, Scene, Stack, Wanted};
@@ -294,7 +295,7 @@ pub(crate) fn abstain(
         let terms = &found.model.terms;
         terms.iter().any(|t| accept::has_many_laws(t.name()) && reaches(rig, t, axis))
     };
-    let trusted = accept::trusted(&whole, gaps, has_laws);
+    let mut trusted = accept::trusted(&whole, gaps, has_laws);
     let abstained: Vec<String> =
         (0..axes).filter(|&a| !trusted[a]).map(|a| (a + 1).to_string()).collect();
     if !abstained.is_empty() {
@@ -303,8 +304,23 @@ pub(crate) fn abstain(
             abstained.join(" and ")
         ));
     }
+    let per_axis = whole.gap(axes).per_axis;
+    let contradicted = monitors::contradicted(rig, scene, [raw_before, &after], &per_axis);
+    for (axis, missing) in contradicted.iter().enumerate().filter(|&(axis, _)| trusted[axis]) {
+        let Some(Missing { before_v, after_v }) = missing else { continue };
+        notes.push(format!(
+            "Axis {}: the amplifier's monitor reads other voltages than the rig file and these causes give ({after_v:.3} V rms of \
+             {before_v:.3} V left), enough to move the stage by a good part of the gap. Something before the stack is missing, \
+             unless the monitor itself is wrong, and no cause is named.",
+            axis + 1
+        ));
+    }
+    trusted
+        .iter_mut()
+        .zip(&contradicted)
+        .for_each(|(trusted, missing)| *trusted &= missing.is_none());
     let loud: Vec<bool> = gaps.iter().map(|g| g.counts).collect();
-    let proxies = proxies(rig, &found.model, &trusted, &whole.gap(axes).per_axis);
+    let proxies = proxies(rig, &found.model, &trusted, &per_axis);
     if !proxies.is_empty() {
         keep(rig, &mut found, |term, _| !proxies.contains(&term.name()))?;
         notes.push(format!(

@@ -44,13 +44,7 @@ impl Energies {
             }
             let (Some(b), Some(a)) = (&before[c], &after[c]) else { continue };
             let nm = (channel.sigma * 1.0e3).powi(2);
-            let floor: f64 = channel
-                .unrepeatable
-                .iter()
-                .enumerate()
-                .map(|(l, v)| v * channel.levels.range(l).len() as f64)
-                .sum::<f64>()
-                / channel.range.len() as f64;
+            let floor = channel.raw_floor() / channel.range.len() as f64;
             let length = b.len().div_ceil(BLOCKS_PER_CHANNEL).max(1);
             for (b, a) in b.chunks(length).zip(a.chunks(length)) {
                 let energy =

@@ -100,10 +100,7 @@ fn end_s(track: &Track) -> f64 {
 /// At rest `T v = K x`: the measured displacement knows the voltage behind the hysteresis. Where it is not measured, or not of
 /// this axis alone, the drive has to do.
 fn sums(rig: &Rig, track: &Track, axis: usize) -> Vec<f64> {
-    let a = &rig.axes[axis];
-    let volts_per_um = (a.piezo.stiffness_n_per_m + a.mechanism.stiffness_n_per_m)
-        / a.piezo.transformer_n_per_v
-        * 1.0e-6;
+    let volts_per_um = 1.0e-6 / rig.axes[axis].rest_m_per_v();
     let own_gauge = rig.output_map.is_none();
     let position = track.position_um[axis].as_ref().filter(|_| own_gauge);
     let mut sum = 0.0;

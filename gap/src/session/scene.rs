@@ -450,6 +450,12 @@ impl Channel {
             .sum()
     }
 
+    /// What noise alone leaves of a raw row: the sum of all samples' variances, in units of the noise variance.
+    pub(crate) fn raw_floor(&self) -> f64 {
+        let bands = self.unrepeatable.iter().enumerate();
+        bands.map(|(l, v)| v * self.levels.range(l).len() as f64).sum()
+    }
+
     /// Cost that noise alone would leave: the sum of all weights squared times the variance that cannot be explained.
     pub fn noise_cost(&self) -> f64 {
         let levels = self.unrepeatable.iter().zip(&self.weights).enumerate();

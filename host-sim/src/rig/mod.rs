@@ -64,6 +64,14 @@ pub struct Axis {
     pub monitor: Option<Monitor>,
 }
 
+impl Axis {
+    /// Displacement of the axis at rest for a volt at the transducer, m/V.
+    pub fn rest_m_per_v(&self) -> f64 {
+        let stiffness_n_per_m = self.piezo.stiffness_n_per_m + self.mechanism.stiffness_n_per_m;
+        self.piezo.transformer_n_per_v / stiffness_n_per_m
+    }
+}
+
 /// First-order amplifier with rails (first paper, section 3.3).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
