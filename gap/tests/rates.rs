@@ -24,3 +24,12 @@ fn a_loss_that_goes_with_a_root_of_the_current_is_found_on_every_axis() {
     assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
     assert!(diagnosis.gap.closed > 0.985, "{}", diagnosis.gap.closed);
 }
+
+#[test]
+fn a_loss_that_goes_with_a_root_of_the_current_is_found_from_afar() {
+    // A loss of strain leaves a quarter of this gap, relaxation with friction a hundredth.
+    let diagnosis = drawn(14141, 85, &["hysteresis-rate"]);
+    let named = vec![("hysteresis-rate", &[2][..])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert!(diagnosis.gap.closed > 0.99, "{}", diagnosis.gap.closed);
+}

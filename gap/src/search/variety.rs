@@ -22,7 +22,7 @@ const BEGINNINGS: [(&str, [&[&str]; 3]); 1] = [(
     [&["per_decade"], &["resistance_ohm", "loss_exponent"], &["strain_loss_v"]],
 )];
 /// Share of the gap that a law may leave at most for others to be tried.
-const WORTH_OTHERS: f64 = 0.2;
+const WORTH_OTHERS: f64 = 0.4;
 
 impl Search<'_> {
     /// `model` of one effect, whose fit began at `begun`, or the same begun with another law of it, whichever leaves least.
