@@ -42,7 +42,8 @@ pub struct Diagnosis {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub band: Option<Band>,
     /// Gap with the causes added where the recordings are taken in the session's order, each beginning as the one before has left the
-    /// stage, nm; only where that makes a difference. A replay of single files, which `gap` stands for, knows nothing of it.
+    /// stage, nm; only where that makes a difference. A replay of single files, which `gap` stands for, knows of it what the part
+    /// before `settle_s` tells.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub in_order_nm: Option<f64>,
     /// What is outside the catalogue and accounts for the gap, or a part of it, better than the causes that would be named; in words.

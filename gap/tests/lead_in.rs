@@ -93,6 +93,21 @@ fn creep_of_what_was_done_before_is_told_by_the_lead_in() {
 }
 
 #[test]
+fn a_large_creep_is_told_as_well() {
+    let pasts = [&[(60.0, 90.0), (8.0, 0.0)][..], &[], &[]];
+    let [without, with] = replayed(&creeping(0.05), pasts, Some);
+    assert!(without[0] > 400.0e-9 && with[0] < 0.02 * without[0], "{without:?} {with:?}");
+}
+
+#[test]
+fn stacks_that_are_always_biased_are_not_taken_for_driven_before() {
+    let mut rig = creeping(0.02);
+    rig.axes.iter_mut().for_each(|axis| axis.amplifier.min_v = 20.0);
+    let [without, with] = replayed(&rig, [&[]; 3], Some);
+    assert!(with[0] < 1.02 * without[0], "{without:?} {with:?}");
+}
+
+#[test]
 fn without_creep_or_gauges_the_lead_in_tells_nothing() {
     let pasts = [&[(60.0, 90.0), (8.0, 0.0)][..]; 3];
     let [without, with] = replayed(&creeping(0.0), pasts, Some);

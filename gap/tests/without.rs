@@ -26,3 +26,10 @@ fn a_drive_that_is_shifted_is_no_shifted_gauge_where_its_monitor_shows_it() {
     assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Unexplained, vec![]));
     assert!(diagnosis.notes.iter().any(|note| note.contains("monitor reads")), "{diagnosis:?}");
 }
+
+#[test]
+fn monitors_of_axes_without_a_gap_say_nothing() {
+    let diagnosis = common::drawn(14141, 90, &["drive-gain"]);
+    assert_eq!(causes(&diagnosis), vec![("drive-gain", &[3][..])]);
+    assert!(!diagnosis.notes.iter().any(|note| note.contains("monitor reads")), "{diagnosis:?}");
+}

@@ -104,9 +104,14 @@ impl Recording {
     /// The first row to be scored: everything before it only settles the stack's memory.
     pub fn settle_rows(&self) -> usize {
         let Some(&first) = self.tick.first() else { return 0 };
-        // Half a tick of slack: 0.5 s at 10 kHz is row 5000 whatever the rounding of the product.
-        let settle = (self.meta.settle_s * self.meta.sample_rate_hz - 0.5).ceil().max(0.0) as u64;
+        let settle = self.settle_ticks();
         self.tick.partition_point(|tick| tick - first < settle)
+    }
+
+    /// Ticks from the first one on that are not scored.
+    pub fn settle_ticks(&self) -> u64 {
+        // Half a tick of slack: 0.5 s at 10 kHz is row 5000 whatever the rounding of the product.
+        (self.meta.settle_s * self.meta.sample_rate_hz - 0.5).ceil().max(0.0) as u64
     }
 
     /// Time of a row on the session's clock (s).

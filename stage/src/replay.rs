@@ -73,7 +73,13 @@ pub fn predict(rig: &Rig, recording: &Recording, name: &Path) -> anyhow::Result<
         monitor_v: None,
         initial: &[],
     };
+    // Where ticks were lost the simulation holds a drive that was none.
+    let whole = recording.span_ticks() == recording.len() as u64
+        || recording.tick[..recording.settle_rows()].windows(2).all(|pair| pair[1] == pair[0] + 1);
     let measured_m = |axis: usize, row: usize| {
+        if !whole {
+            return None;
+        }
         Some(f64::from(recording.position_um.get(axis)?.as_ref()?[row]) * 1.0e-6)
     };
     let settle = recording.settle_rows();

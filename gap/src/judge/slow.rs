@@ -13,6 +13,7 @@ use crate::Error;
 use crate::diagnosis::Band;
 use crate::fitting::guess::Ranges;
 use crate::fitting::knobs::EffectRef;
+use crate::fitting::model::Term;
 use crate::judge::{accept, ambiguity, monitors};
 use crate::search::found::{Found, apart, refit};
 use crate::search::select::Search;
@@ -55,7 +56,8 @@ pub(crate) fn cross_axis(
         }
         let per_axis = Energies::new(scene, &raw, &after, &everything).gap(rig.axes.len()).per_axis;
         let missing = monitors::contradicted(rig, scene, [&raw, &after], &per_axis);
-        if missing.iter().any(Option::is_some) {
+        let reached: Vec<usize> = model.terms.iter().flat_map(Term::axes).collect();
+        if reached.iter().any(|&axis| missing[axis].is_some()) {
             continue;
         }
         let standings = ambiguity::standings(&search, &model);

@@ -42,13 +42,14 @@ impl Search<'_> {
                 let name = rival.terms[t].name();
                 let effort =
                     Effort { iterations: 8, tolerance: 2.0e-2, hopeless: open, ..self.effort() };
+                let key: Vec<&str> = rival.key().into_iter().filter(|n| *n != name).collect();
+                let is_known = self.is_tried(&key) || self.carries_much(&rival, t)?;
                 for terms in in_place_of(&rival, t) {
                     let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = terms.into_iter().unzip();
                     let wider = self.fit_model(terms, start.concat(), effort)?;
                     self.remember(wider);
                 }
-                let key: Vec<&str> = rival.key().into_iter().filter(|n| *n != name).collect();
-                if self.is_tried(&key) || self.carries_much(&rival, t)? {
+                if is_known {
                     continue;
                 }
                 let (terms, start): (Vec<Term>, Vec<Vec<f64>>) =

@@ -306,19 +306,19 @@ pub(crate) fn abstain(
     }
     let per_axis = whole.gap(axes).per_axis;
     let contradicted = monitors::contradicted(rig, scene, [raw_before, &after], &per_axis);
-    for (axis, missing) in contradicted.iter().enumerate().filter(|&(axis, _)| trusted[axis]) {
-        let Some(Missing { before_v, after_v }) = missing else { continue };
+    for axis in (0..axes).filter(|&axis| gaps[axis].counts) {
+        let Some(Missing { before_v, after_v }) = contradicted[axis].filter(|_| trusted[axis])
+        else {
+            continue;
+        };
+        trusted[axis] = false;
         notes.push(format!(
-            "Axis {}: the amplifier's monitor reads other voltages than the rig file and these causes give ({after_v:.3} V rms of \
-             {before_v:.3} V left), enough to move the stage by a good part of the gap. Something before the stack is missing, \
-             unless the monitor itself is wrong, and no cause is named.",
+            "Axis {}: the amplifier's monitor reads other voltages than the rig file and the best effects of the catalogue give \
+             ({after_v:.3} V rms of {before_v:.3} V left), enough to move the stage by a good part of the gap. Something before the stack is \
+             missing, unless the monitor itself is wrong: no cause is named on this axis.",
             axis + 1
         ));
     }
-    trusted
-        .iter_mut()
-        .zip(&contradicted)
-        .for_each(|(trusted, missing)| *trusted &= missing.is_none());
     let loud: Vec<bool> = gaps.iter().map(|g| g.counts).collect();
     let proxies = proxies(rig, &found.model, &trusted, &per_axis);
     if !proxies.is_empty() {

@@ -37,7 +37,7 @@ pub struct Track {
     pub position_um: Vec<Option<Vec<f32>>>,
     /// First sample to score.
     pub settle: usize,
-    /// Samples before `settle_s`: nobody scores them.
+    /// Samples before `settle_s`: no position is scored there.
     pub lead_in: usize,
     /// `true` where a sample was recorded and is not too soon after a loss.
     pub present: Vec<bool>,
@@ -168,8 +168,7 @@ fn track(rig: &Rig, file: &str, recording: &Recording) -> Result<Track, Error> {
         monitor_v: (0..axes).map(|axis| pick(&recording.monitor_v, axis)).collect(),
         position_um: (0..axes).map(|axis| pick(&recording.position_um, axis)).collect(),
         settle,
-        lead_in: (recording.meta.settle_s * recording.meta.sample_rate_hz - 0.5).ceil().max(0.0)
-            as usize,
+        lead_in: recording.settle_ticks() as usize,
         present,
         lost: n as u64 - recording.len() as u64,
         closed_loop,

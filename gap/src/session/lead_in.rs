@@ -1,164 +1,170 @@
 //! What the lead-in of a single recording tells of the stacks' past.
 //!
 //! A stack goes on creeping in one recording from what was done to it in the ones before. A replay of a single file knows none of them; what
-//! it has is the part before `settle_s`, in which nothing is scored and which is there to bring the stack to a known state. Past its
-//! largest drive the slip elements remember nothing older, and what is left between measured and simulated there is the creep that is still
-//! coming back. The past is looked for as mean transducer voltages over stretches that lengthen with their age. A few tenths of a second
-//! do not tell them apart, so each is taken for zero as far as the lead-in does not object. An unknown initial state that is found from
-//! samples which are then not scored is nothing unusual: the cascaded tanks of Schoukens and Noel (Three benchmarks addressing open
-//! challenges in nonlinear system identification, 2017) ask for it.
+//! it has is the part before `settle_s`, in which no position is scored and which is there to bring the stack to a known state. Past its
+//! largest drive, if that is the largest of the file, the slip elements remember nothing older, and what is left between measured and
+//! simulated there is the creep that is still coming back. The past is looked for as mean transducer voltages over stretches that lengthen
+//! with their age. A few tenths of a second do not tell them apart, so each is taken for zero as far as the lead-in does not object. An
+//! unknown initial state that is found from samples which are then not scored is nothing unusual: the cascaded tanks of Schoukens and
+//! Noel (Three benchmarks addressing open challenges in nonlinear system identification, 2017) ask for it.
+//!
+//! An offset of the gauge that the rig file lacks cannot be told from slow creep in so short a time: a rig with creep takes it for that.
 
 use std::ops::Range;
 use std::sync::Arc;
 
 use host_sim::rig::Rig;
-use host_sim::{Axes, Initial, Input, Output, Place, Stretch, simulate};
-use nalgebra::{DMatrix, DVector};
+use host_sim::{Axes, Initial, Input, Place, Stretch, simulate};
+use nalgebra::{SMatrix, SVector};
 
 use crate::Error;
 
 /// How long ago each stretch ended and began, s: what a lead-in of half a second can tell apart and more.
-const AGES_S: [f64; 6] = [0.0, 0.3, 3.0, 30.0, 300.0, 3000.0];
+const AGES_S: [f64; STRETCHES + 1] = [0.0, 0.3, 3.0, 30.0, 300.0, 3000.0];
+/// Number of stretches.
+const STRETCHES: usize = 5;
 /// Mean transducer voltage of a stretch that surprises nobody, V.
 const USUAL_V: f64 = 30.0;
 /// Voltage of which the consequences are simulated, V.
 const TRIED_V: f64 = 30.0;
-/// Means over this long are compared, s.
+/// Means over this long are compared, or single samples of slower recordings, s.
 const BLOCK_S: f64 = 0.01;
 /// Fewest of them.
 const FEWEST_BLOCKS: usize = 5;
 /// What a good model leaves in all of them alike, m, and as a share of the displacement.
 const LEAVES_M: f64 = 2.0e-9;
 const LEAVES_SHARE: f64 = 1.0e-3;
-/// Share of the motion in them that is missing where the lead-in is not one of this rig, or was not measured: no past makes that.
-const NOT_OF_THIS_RIG: f64 = 0.2;
-/// Sweeps of a coordinate descent over the stretches.
-const SWEEPS: usize = 500;
+/// Share of the largest drive of the file that an axis has to reach in its lead-in to forget what was before.
+const FORGETS: f64 = 0.9;
+/// Share of what is missing in the lead-in (rms) that a past may leave: else it is something other than creep.
+const ACCOUNTS: f64 = 0.5;
+/// Change of every voltage at which they count as found, V, and most sweeps until then.
+const SETTLED_V: f64 = 1.0e-6;
+const MOST_SWEEPS: usize = 1_000_000;
+
+/// Mean voltages of the stretches, the youngest first, V.
+type Voltages = SVector<f64, STRETCHES>;
 
 /// Initial states of all axes that suit the lead-in of a recording best: `settle` is its number of samples, `measured_m(axis, sample)` what
-/// the gauges read there. Rested stacks where the rig has no creep, or where the lead-in is too short.
+/// the gauges read there. Rested stacks where the rig has no creep, where gauges read several axes, where a sample was not measured,
+/// or where the lead-in is too short or too small to tell.
 pub fn initial(
     rig: &Rig,
     input: &Input,
     settle: usize,
     measured_m: impl Fn(usize, usize) -> Option<f64>,
 ) -> Result<Vec<Initial>, Error> {
-    let axes = rig.axes.len();
-    let rested = vec![Initial::default(); axes];
-    let creeps = |axis: &usize| {
-        rig.get("creep", Place::Axis(*axis), "per_decade").is_some_and(|share| share != 0.0)
-    };
-    let creeping: Vec<usize> = (0..axes).filter(creeps).collect();
-    let settle = settle.min(input.drive_v[0].len());
-    let blocks = blocks(input, settle);
-    if creeping.is_empty() || blocks.len() < FEWEST_BLOCKS {
-        return Ok(rested);
+    let mut initial = vec![Initial::default(); rig.axes.len()];
+    let lead_in = 0..settle;
+    // What does not fit together is for the simulation to complain of.
+    if rig.output_map.is_some() || input.drive_v.iter().any(|drive| drive.len() < settle) {
+        return Ok(initial);
     }
-    let drive: Vec<&[f64]> = input.drive_v.iter().map(|v| &v[..settle]).collect();
-    let run = |past: &[Initial]| -> Result<Output, Error> {
-        let lead_in = Input {
-            ticks: input.ticks.map(|ticks| &ticks[..settle]),
-            drive_v: &drive,
-            monitor_v: None,
-            initial: past,
-            ..*input
+    let swing_v = |axis: usize, sample: usize| {
+        let drive_v = input.drive_v[axis];
+        (drive_v[sample] - drive_v[0]).abs()
+    };
+    let largest_v = (0..input.drive_v.len())
+        .flat_map(|axis| (0..input.drive_v[axis].len()).map(move |sample| swing_v(axis, sample)))
+        .fold(0.0, f64::max);
+    for axis in 0..rig.axes.len() {
+        let creeps = rig.get("creep", Place::Axis(axis), "per_decade").unwrap_or(0.0) != 0.0;
+        let further = |a: usize, b: usize| if swing_v(axis, b) > swing_v(axis, a) { b } else { a };
+        let Some(turn) = lead_in.clone().reduce(further).filter(|_| creeps) else { continue };
+        let blocks = blocks(turn..settle, input.sample_rate_hz);
+        if swing_v(axis, turn) < FORGETS * largest_v || blocks.len() < FEWEST_BLOCKS {
+            continue;
+        }
+        let read: Option<Vec<f64>> = (turn..settle).map(|i| measured_m(axis, i)).collect();
+        let Some(read) = read else { continue };
+        let mean_m = |block: &Range<usize>, of: &dyn Fn(usize) -> f64| {
+            block.clone().map(of).sum::<f64>() / block.len() as f64
         };
-        simulate(rig, &lead_in, Axes::All).map_err(|e| Error::Rig(e.to_string()))
-    };
-    let stretches = AGES_S.len() - 1;
-    let state = |voltages_v: &DVector<f64>| {
-        let mut state = rested.clone();
-        for (&axis, own) in creeping.iter().zip(voltages_v.as_slice().chunks(stretches)) {
-            state[axis].past = Some(past(own));
+        let simulated_m = |past: Option<Arc<[Stretch]>>| -> Result<Vec<f64>, Error> {
+            let drive_v: Vec<&[f64]> = input.drive_v.iter().map(|v| &v[lead_in.clone()]).collect();
+            let mut states = vec![Initial::default(); rig.axes.len()];
+            states[axis].past = past;
+            let input = Input {
+                ticks: input.ticks.map(|ticks| &ticks[lead_in.clone()]),
+                drive_v: &drive_v,
+                monitor_v: None,
+                initial: &states,
+                ..*input
+            };
+            let output = simulate(rig, &input, Axes::Only(1 << axis))
+                .map_err(|e| Error::Rig(e.to_string()))?;
+            Ok(blocks.iter().map(|block| mean_m(block, &|i| output.position_m[axis][i])).collect())
+        };
+        let noise_m = rig.axes[axis].sensor.noise_rms_m / (blocks[0].len() as f64).sqrt();
+        let measured: Vec<f64> =
+            blocks.iter().map(|block| mean_m(block, &|i| read[i - turn])).collect();
+        // What a good model leaves is alike in all blocks, so that many of them tell no more than few.
+        let leaves_m = |level_m: f64| {
+            let form_m = LEAVES_M.hypot(LEAVES_SHARE * level_m) * (blocks.len() as f64).sqrt();
+            form_m.hypot(noise_m)
+        };
+        let base = simulated_m(None)?;
+        let mut slopes = Vec::with_capacity(STRETCHES);
+        for stretch in 0..STRETCHES {
+            let mut tried_v = Voltages::zeros();
+            tried_v[stretch] = TRIED_V;
+            let tried = simulated_m(Some(past(&tried_v)))?;
+            slopes
+                .push(tried.iter().zip(&base).map(|(a, b)| (a - b) / TRIED_V).collect::<Vec<_>>());
         }
-        state
-    };
-    let mean = |axis: usize, block: &Range<usize>, of: &dyn Fn(usize, f64) -> f64| {
-        let read = block.clone().filter_map(|i| measured_m(axis, i).map(|m| of(i, m)));
-        let (sum, count) = read.fold((0.0, 0), |(sum, count), x| (sum + x, count + 1));
-        (count > 0).then(|| sum / f64::from(count))
-    };
-    // Blocks of a gauge, and what a good model leaves in the mean of one.
-    let mut rows = Vec::new();
-    for (axis, block) in (0..axes).flat_map(|axis| blocks.iter().map(move |block| (axis, block))) {
-        if let Some(level_m) = mean(axis, block, &|_, m| m.abs()) {
-            let leaves_m = LEAVES_M.hypot(LEAVES_SHARE * level_m);
-            rows.push((axis, block, leaves_m * (blocks.len() as f64).sqrt()));
+        let mut normal =
+            SMatrix::<f64, STRETCHES, STRETCHES>::from_diagonal_element(USUAL_V.powi(-2));
+        let mut asked = Voltages::zeros();
+        for (row, &measured_m) in measured.iter().enumerate() {
+            let weight = leaves_m(measured_m).powi(-2);
+            let slope = Voltages::from_fn(|k, _| slopes[k][row]);
+            normal += slope * slope.transpose() * weight;
+            asked += slope * (weight * (measured_m - base[row]));
+        }
+        let amplifier = &rig.axes[axis].amplifier;
+        let limits_v = (amplifier.min_v.min(0.0), amplifier.max_v.max(0.0));
+        let past = past(&bounded(&normal, &asked, limits_v));
+        let left = |simulated: &[f64]| -> f64 {
+            measured.iter().zip(simulated).map(|(a, b)| (a - b).powi(2)).sum()
+        };
+        if left(&simulated_m(Some(past.clone()))?) < ACCOUNTS.powi(2) * left(&base) {
+            initial[axis].past = Some(past);
         }
     }
-    let base = run(&rested)?;
-    let [missing_m, motion_m] = [1.0, 0.0].map(|measured| {
-        let of = rows.iter().map(|(axis, block, _)| {
-            let left = |i: usize, m: f64| m * measured - base.position_m[*axis][i];
-            mean(*axis, block, &left).unwrap_or(0.0).powi(2)
-        });
-        of.sum::<f64>().sqrt()
-    });
-    if missing_m > NOT_OF_THIS_RIG * motion_m {
-        return Ok(rested);
-    }
-    let missing = rows.iter().map(|(axis, block, leaves_m)| {
-        let mean = mean(*axis, block, &|i, m| m - base.position_m[*axis][i]);
-        mean.unwrap_or(0.0) / leaves_m
-    });
-    let missing = DVector::from_iterator(rows.len(), missing);
-    let mut slopes = DMatrix::zeros(rows.len(), creeping.len() * stretches);
-    for k in 0..slopes.ncols() {
-        let mut tried_v = DVector::zeros(slopes.ncols());
-        tried_v[k] = TRIED_V;
-        let tried = run(&state(&tried_v))?;
-        for (row, (axis, block, leaves_m)) in rows.iter().enumerate() {
-            let adds = |i: usize, _| tried.position_m[*axis][i] - base.position_m[*axis][i];
-            let per_v = mean(*axis, block, &adds).unwrap_or(0.0) / TRIED_V;
-            slopes[(row, k)] = per_v / leaves_m;
-        }
-    }
-    let within = |k: usize| {
-        let amplifier = &rig.axes[creeping[k / stretches]].amplifier;
-        (amplifier.min_v, amplifier.max_v)
-    };
-    Ok(state(&bounded(&slopes, &missing, within)))
+    Ok(initial)
 }
 
-/// Stretches of these mean voltages, the youngest first.
-fn past(voltages_v: &[f64]) -> Arc<[Stretch]> {
-    let ages = AGES_S.windows(2).zip(voltages_v);
+/// Stretches of these mean voltages.
+fn past(voltages_v: &Voltages) -> Arc<[Stretch]> {
+    let ages = AGES_S.windows(2).zip(voltages_v.iter());
     ages.map(|(age, &transducer_v)| Stretch { lasted_s: age[1] - age[0], transducer_v })
         .rev()
         .collect()
 }
 
-/// Blocks of samples past the largest drive of any axis.
-fn blocks(input: &Input, settle: usize) -> Vec<Range<usize>> {
-    let turn = |drive: &&[f64]| {
-        let swing = |i: usize| (drive[i] - drive[0]).abs();
-        (0..settle).fold(0, |most, i| if swing(i) > swing(most) { i } else { most })
-    };
-    let from = input.drive_v.iter().map(turn).max().unwrap_or(0);
-    let length = ((BLOCK_S * input.sample_rate_hz).round() as usize).max(1);
-    (from..settle.saturating_sub(length - 1))
-        .step_by(length)
-        .map(|start| start..start + length)
-        .collect()
+/// Whole blocks of a stretch of samples.
+fn blocks(samples: Range<usize>, rate_hz: f64) -> Vec<Range<usize>> {
+    let length = ((BLOCK_S * rate_hz).round() as usize).max(1);
+    let starts = samples.clone().step_by(length).filter(|start| start + length <= samples.end);
+    starts.map(|start| start..start + length).collect()
 }
 
-/// Voltages `within` their limits that suit the equations best, and are no larger than they have to be (a ridge).
+/// Voltages within limits that solve `normal * v = asked` best.
 fn bounded(
-    equations: &DMatrix<f64>,
-    right: &DVector<f64>,
-    within: impl Fn(usize) -> (f64, f64),
-) -> DVector<f64> {
-    let unknowns = equations.ncols();
-    let usual = DMatrix::identity(unknowns, unknowns) / (USUAL_V * USUAL_V);
-    let normal = equations.tr_mul(equations) + usual;
-    let asked = equations.tr_mul(right);
-    let mut voltages_v = DVector::zeros(unknowns);
+    normal: &SMatrix<f64, STRETCHES, STRETCHES>,
+    asked: &Voltages,
+    (least_v, most_v): (f64, f64),
+) -> Voltages {
+    let mut voltages_v = Voltages::zeros();
     // Coordinate descent comes to the one minimum that a strictly convex sum of squares has in a box.
-    for _ in 0..SWEEPS {
-        for k in 0..unknowns {
-            let open = asked[k] - (normal.row(k) * &voltages_v)[0];
-            let (least_v, most_v) = within(k);
+    for _ in 0..MOST_SWEEPS {
+        let before_v = voltages_v;
+        for k in 0..STRETCHES {
+            let open = asked[k] - (normal.row(k) * voltages_v)[0];
             voltages_v[k] = (voltages_v[k] + open / normal[(k, k)]).max(least_v).min(most_v);
+        }
+        if (voltages_v - before_v).amax() < SETTLED_V {
+            break;
         }
     }
     voltages_v

@@ -140,8 +140,9 @@ impl Scene {
             initial: &[],
             monitor_v: None,
         };
+        let whole = present.iter().take(*lead_in).all(|present| *present);
         let measured_m = |axis: usize, sample: usize| {
-            let column = position_um[axis].as_ref().filter(|_| present[sample])?;
+            let column = position_um[axis].as_ref().filter(|_| whole)?;
             Some(f64::from(column[sample]) * 1.0e-6)
         };
         let initial = lead_in::initial(rig, &input, *lead_in, measured_m)?;
