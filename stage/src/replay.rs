@@ -73,16 +73,12 @@ pub fn predict(rig: &Rig, recording: &Recording, name: &Path) -> anyhow::Result<
         monitor_v: None,
         initial: &[],
     };
-    // Where ticks were lost the simulation holds a drive that was none.
-    let whole = recording.span_ticks() == recording.len() as u64
-        || recording.tick[..recording.settle_rows()].windows(2).all(|pair| pair[1] == pair[0] + 1);
     let measured_m = |axis: usize, row: usize| {
-        if !whole {
-            return None;
-        }
         Some(f64::from(recording.position_um.get(axis)?.as_ref()?[row]) * 1.0e-6)
     };
+    // Where ticks were lost the simulation holds a drive that was none.
     let settle = recording.settle_rows();
+    let settle = if settle as u64 == recording.settle_ticks() { settle } else { 0 };
     let initial = gap::session::lead_in::initial(rig, &input, settle, measured_m)
         .with_context(|| name.display().to_string())?;
     let input = Input { initial: &initial, ..input };

@@ -14,10 +14,8 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use host_sim::rig::Rig;
-use host_sim::{Axes, Initial, Input, Place, Stretch, simulate};
+use host_sim::{Axes, Initial, Input, Place, SimError, Stretch, simulate};
 use nalgebra::{SMatrix, SVector};
-
-use crate::Error;
 
 /// How long ago each stretch ended and began, s: what a lead-in of half a second can tell apart and more.
 const AGES_S: [f64; STRETCHES + 1] = [0.0, 0.3, 3.0, 30.0, 300.0, 3000.0];
@@ -53,7 +51,7 @@ pub fn initial(
     input: &Input,
     settle: usize,
     measured_m: impl Fn(usize, usize) -> Option<f64>,
-) -> Result<Vec<Initial>, Error> {
+) -> Result<Vec<Initial>, SimError> {
     let mut initial = vec![Initial::default(); rig.axes.len()];
     let lead_in = 0..settle;
     // What does not fit together is for the simulation to complain of.
@@ -80,7 +78,7 @@ pub fn initial(
         let mean_m = |block: &Range<usize>, of: &dyn Fn(usize) -> f64| {
             block.clone().map(of).sum::<f64>() / block.len() as f64
         };
-        let simulated_m = |past: Option<Arc<[Stretch]>>| -> Result<Vec<f64>, Error> {
+        let simulated_m = |past: Option<Arc<[Stretch]>>| -> Result<Vec<f64>, SimError> {
             let drive_v: Vec<&[f64]> = input.drive_v.iter().map(|v| &v[lead_in.clone()]).collect();
             let mut states = vec![Initial::default(); rig.axes.len()];
             states[axis].past = past;
@@ -91,8 +89,7 @@ pub fn initial(
                 initial: &states,
                 ..*input
             };
-            let output = simulate(rig, &input, Axes::Only(1 << axis))
-                .map_err(|e| Error::Rig(e.to_string()))?;
+            let output = simulate(rig, &input, Axes::Only(1 << axis))?;
             Ok(blocks.iter().map(|block| mean_m(block, &|i| output.position_m[axis][i])).collect())
         };
         let noise_m = rig.axes[axis].sensor.noise_rms_m / (blocks[0].len() as f64).sqrt();

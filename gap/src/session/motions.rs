@@ -129,23 +129,14 @@ impl Scene {
         rig: &Rig,
         track: usize,
     ) -> Result<Vec<Arc<[Stretch]>>, Error> {
-        let Track { rate_hz, start_s, drive_v, position_um, present, lead_in, .. } =
-            &self.tracks[track];
-        let drive_v: Vec<&[f64]> = drive_v.iter().map(Vec::as_slice).collect();
-        let input = Input {
-            sample_rate_hz: *rate_hz,
-            start_s: *start_s,
-            ticks: None,
-            drive_v: &drive_v,
-            initial: &[],
-            monitor_v: None,
-        };
-        let whole = present.iter().take(*lead_in).all(|present| *present);
+        let Track { position_um, present, lead_in, .. } = &self.tracks[track];
+        let is_whole = present.iter().take(*lead_in).all(|present| *present);
         let measured_m = |axis: usize, sample: usize| {
-            let column = position_um[axis].as_ref().filter(|_| whole)?;
-            Some(f64::from(column[sample]) * 1.0e-6)
+            Some(f64::from(position_um[axis].as_ref()?[sample]) * 1.0e-6)
         };
-        let initial = lead_in::initial(rig, &input, *lead_in, measured_m)?;
+        let settle = if is_whole { *lead_in } else { 0 };
+        let initial =
+            self.with_input(track, &[], |input| lead_in::initial(rig, input, settle, measured_m))?;
         let known = initial.iter().any(|state| state.past.is_some());
         let pasts = initial.into_iter().filter(|_| known);
         Ok(pasts.map(|state| state.past.unwrap_or_default()).collect())
