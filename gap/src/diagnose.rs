@@ -7,17 +7,17 @@ use recording::Session;
 
 use crate::diagnosis::{Diagnosis, RecordingGap, Role, Verdict};
 use crate::fitting::knobs::EffectRef;
-use crate::judge::accept::{self, AxisGapSize};
+use crate::judge::accept;
 use crate::judge::causes::causes_of;
+use crate::judge::slow;
 use crate::judge::strangers::Masked;
-use crate::judge::{slow, steady, strangers};
 use crate::locate;
+use crate::looks::{self, Judged, Looked, Looks, Nominal};
 use crate::picture;
 use crate::search::found::{self, Found};
 use crate::session::energy::Energies;
-use crate::session::floor::Kind;
-use crate::session::scene::{Channel, Scene, Stack, TOLERANCE, Wanted};
-use crate::session::split::{hold_out_last_third, split};
+use crate::session::scene::{Channel, Scene, Stack, Wanted};
+use crate::session::split::{hold_out_last_third_of_gap, split};
 use crate::session::{intake, past};
 use crate::{Error, Options, rest};
 
@@ -82,113 +82,44 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
     let everything = |_: &Channel| true;
     // Weights of noise alone first: they tell how large the gap is in each band.
     let mut white = scene.residuals_at(rig, Wanted::ALL, everything)?;
-    let mut by_blocks = false;
     let mut excess = found::excess(&scene, &white);
     let gapped = found::with_gap(&scene, &excess, |_| true);
-    if !gapped.is_empty() && !can_contradict(&scene, &excess) {
+    let mut by_blocks = false;
+    if !gapped.is_empty() && !looks::can_contradict(&scene, &excess) {
         // What is held out must be able to contradict.
         if let [_, _, ..] = gapped[..] {
             let of_quietest = |c: &&mut Channel| c.track == gapped[0];
             scene.channels.iter_mut().filter(of_quietest).for_each(|c| c.held_out = true);
         } else if scene.channels.iter().any(|c| c.held_out && c.track != gapped[0]) {
             by_blocks = true;
-            hold_out_last_third(&mut scene);
+            let raw = scene.raw(rig, everything)?;
+            hold_out_last_third_of_gap(&mut scene, &raw);
             scene.set_aside_memory(rig)?;
             white = scene.residuals_at(rig, Wanted::ALL, everything)?;
             excess = found::excess(&scene, &white);
             notes.push(format!(
-                "The gap shows in {} alone: the last third of every recording was held out instead of whole recordings.",
+                "The gap shows in {} alone: the end of every recording, with a third of its gap, was held out instead of whole recordings.",
                 scene.tracks[gapped[0]].file
             ));
         }
     }
-    let mut nominal = Nominal::new(&mut scene, rig, &white)?;
+    let nominal = Nominal::new(&mut scene, rig, &white)?;
     let effects: Vec<EffectRef> = catalogue()
         .iter()
         .copied()
         .filter(|e: &&'static dyn Effect| !options.exclude.iter().any(|x| x == e.info().name))
         .collect();
-
     let ranges = crate::fitting::guess::ranges(&scene, rig, &nominal.raw)?;
-    let mut found: Option<Found> = None;
-    if nominal.any_gap() {
-        past::tell(&mut scene, rig, &effects, &ranges)?;
-        bar.set_message("screening the catalogue");
-        found = found::search((&scene, rig), &effects, &ranges, &bar, &nominal.gaps, None)?;
-        let missed = match &found {
-            Some(f) => f.missed.clone(),
-            // Nothing found in the fitted ones: the gap may be in the others alone.
-            None => found::with_gap(&scene, &excess, |c| c.held_out),
-        };
-        // What does not even account for the recordings that it was fitted to will not do better with others.
-        let fits = match &found {
-            Some(f) => {
-                let after = scene.raw(&f.model.fit.rig, everything)?;
-                let fitted = |c: &Channel| !c.held_out;
-                let shrink =
-                    Energies::new(&scene, &nominal.raw, &after, &fitted).gap(rig.axes.len());
-                accept::names(shrink.closed)
-            }
-            // Next to nothing of the gap shows in them.
-            None => share_of_gap(&scene, &excess, |c| !c.held_out) < NEXT_TO_NOTHING,
-        };
-        if fits && !missed.is_empty() && scene.tracks.len() >= 3 && !by_blocks {
-            bar.set_message("looking again with other recordings");
-            let mut other = scene.clone();
-            split(&mut other, &missed);
-            let mut of_other = nominal.clone();
-            let is_unchecked =
-                |axis: usize| nominal.gaps[axis].counts && !is_held_out_on(&other, &excess, axis);
-            if !can_contradict(&other, &excess) || (0..rig.axes.len()).any(is_unchecked) {
-                hold_out_last_third(&mut other);
-                other.set_aside_memory(rig)?;
-                let white = other.residuals_at(rig, Wanted::ALL, everything)?;
-                of_other = Nominal::new(&mut other, rig, &white)?;
-            }
-            let session = (&other, rig);
-            let known = found.as_ref();
-            let second = found::search(session, &effects, &ranges, &bar, &of_other.gaps, known)?;
-            // The look stands that closes more of the whole session where it is believed.
-            let open = |scene: &Scene, of: &Nominal, found: &Option<Found>| -> Result<f64, Error> {
-                let believed = match found.clone() {
-                    Some(found) => {
-                        found::abstain(rig, scene, found, &of.raw, &of.gaps, &mut Vec::new())?
-                    }
-                    None => None,
-                };
-                let Some(found) = believed else { return Ok(f64::INFINITY) };
-                let after = scene.raw(&found.model.fit.rig, everything)?;
-                Ok(Energies::new(scene, &of.raw, &after, &everything).excess().1)
-            };
-            if open(&other, &of_other, &second)? < open(&scene, &nominal, &found)? {
-                if other.channels.len() > scene.channels.len() {
-                    notes.push("The gap, or that of an axis, shows in few recordings, each of them unlike the others: the last third of every recording was held out instead of whole recordings.".into());
-                }
-                (found, scene, nominal) = (second, other, of_other);
-            }
-        }
+    let mut looked = Looked { scene, nominal, found: None };
+    let mut judged = Judged::default();
+    if looked.nominal.any_gap() {
+        past::tell(&mut looked.scene, rig, &effects, &ranges)?;
+        let looks = Looks { rig, effects: &effects, ranges: &ranges, exclude: &options.exclude };
+        (looked, judged) = looks.run(looked, &excess, by_blocks, &bar)?;
     }
-
-    found = match found {
-        Some(found) => found::abstain(rig, &scene, found, &nominal.raw, &nominal.gaps, &mut notes)?,
-        None => None,
-    };
-    let was_found = found.is_some();
-    let mut masked = None;
-    if let Some(mut known) = found.take() {
-        masked = match strangers::unmask(&scene, rig, &options.exclude, &mut known)? {
-            None => steady::unmask(&scene, rig, &nominal.raw, &mut known)?,
-            masked => masked,
-        };
-        found = match (&masked, known.model.terms.is_empty()) {
-            (None, _) => Some(known),
-            (Some(_), true) => None,
-            // What stays has to stand by itself.
-            (Some(_), false) => {
-                found::abstain(rig, &scene, known, &nominal.raw, &nominal.gaps, &mut notes)?
-            }
-        };
-    }
+    notes.append(&mut judged.notes);
+    let Judged { mut found, masked, was_found, .. } = judged;
+    let Looked { scene, nominal, .. } = looked;
     if !was_found && rig.axes.len() > 1 && nominal.any_gap() {
         bar.set_message("looking at slow motion alone");
         found = slow::cross_axis(&scene, rig, &effects, &ranges, &bar)?;
@@ -198,64 +129,6 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
     let outcome = answer(rig, &scene, &nominal, found, masked, notes)?;
     bar.finish_and_clear();
     Ok(outcome)
-}
-
-/// Share of the session's gap that the recordings held out must have to contradict a model.
-const TO_CONTRADICT: f64 = 0.002;
-
-/// Share of the session's gap in the fitted recordings below which a search that finds nothing there says nothing of the others: what
-/// integrators differ by on edges is as much.
-const NEXT_TO_NOTHING: f64 = 0.02;
-
-/// Whether what is held out shows enough of the gap: what closes nothing there because there is nothing has not been checked.
-fn can_contradict(scene: &Scene, excess: &[f64]) -> bool {
-    let any = !found::with_gap(scene, excess, |c| c.held_out).is_empty();
-    any && share_of_gap(scene, excess, |c| c.held_out) > TO_CONTRADICT
-}
-
-/// Whether some recording that is held out has a gap of its own on an axis, if any has.
-fn is_held_out_on(scene: &Scene, excess: &[f64], axis: usize) -> bool {
-    found::with_gap(scene, excess, |c| c.axis == axis).is_empty()
-        || !found::with_gap(scene, excess, |c| c.axis == axis && c.held_out).is_empty()
-}
-
-/// Share of the gap of all positions that some channels hold.
-fn share_of_gap(scene: &Scene, excess: &[f64], include: impl Fn(&Channel) -> bool) -> f64 {
-    let of = |include: &dyn Fn(&Channel) -> bool| -> f64 {
-        let positions = scene.channels.iter().zip(excess).filter(|(c, _)| c.kind == Kind::Position);
-        positions.filter(|(c, _)| include(c)).map(|(_, excess)| excess).sum()
-    };
-    of(&include) / of(&|_| true).max(f64::MIN_POSITIVE)
-}
-
-/// What the rig as given leaves of the session.
-#[derive(Clone)]
-struct Nominal {
-    raw: Stack,
-    cuts: locate::Cuts,
-    electrical: Vec<Option<bool>>,
-    gaps: Vec<AxisGapSize>,
-}
-
-impl Nominal {
-    /// From residuals weighed by the noise alone; the channels are weighed for a search after that.
-    fn new(scene: &mut Scene, rig: &Rig, white: &Stack) -> Result<Self, Error> {
-        let raw = scene.raw(rig, |_| true)?;
-        let cuts = locate::cuts(scene, &raw, white);
-        let electrical = locate::electrical(scene, white);
-        let gaps = accept::gaps(scene, white);
-        for (channel, row) in scene.channels.iter_mut().zip(white) {
-            if let Some(row) = row {
-                let power = channel.band_power(row);
-                channel.weigh(&power, TOLERANCE);
-            }
-        }
-        Ok(Self { raw, cuts, electrical, gaps })
-    }
-
-    fn any_gap(&self) -> bool {
-        self.gaps.iter().any(|g| g.counts)
-    }
 }
 
 fn answer(

@@ -15,6 +15,7 @@ pub mod fitting;
 pub mod identify;
 pub mod judge;
 pub mod locate;
+mod looks;
 pub mod picture;
 pub mod platform;
 pub mod rest;

@@ -78,9 +78,9 @@ fn bands(cuts: &Cuts) -> (Vec<String>, Vec<Vec<f64>>) {
             if *hz == 0.0 {
                 "mean".into()
             } else if *hz < 1.0 {
-                format!("{hz:.2} Hz")
+                format!("{hz:.2}")
             } else {
-                format!("{hz:.0} Hz")
+                format!("{hz:.0}")
             }
         })
         .collect();
@@ -108,11 +108,11 @@ fn location(page: Report, f: &Findings) -> Report {
         .values(stage)
         .unit("%");
     let (columns, rows) = bands(f.cuts);
-    let band = HeatMap::new("Share of the gap by axis and band")
+    // Recordings of several rates have bands of their own: a dozen columns and more, with no room for units.
+    let band = HeatMap::new("Share of the gap (%) by axis and band (Hz)")
         .columns(columns)
         .rows(axis_names(f))
-        .values(rows)
-        .unit("%");
+        .values(rows);
     let figures: Vec<(Box<dyn Figure>, &str)> = vec![
         (Box::new(map), "Stage of each axis that the gap comes from (before any effect is added)."),
         (

@@ -53,6 +53,17 @@ fn a_current_limit_far_below_one_fast_edge_is_found() {
 }
 
 #[test]
+fn a_gauge_that_drifts_to_and_fro_drifts() {
+    // It comes and goes once in the session's 150 s.
+    let diagnosis = drawn(15151, 53, &["sensor-drift"]);
+    let named = vec![("sensor-drift", &[1, 2, 3][..])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert!(diagnosis.gap.closed > 0.995, "{}", diagnosis.gap.closed);
+    let cycle_s = diagnosis.causes[0].parameters["cycle_s_1"].value;
+    assert!((140.0..160.0).contains(&cycle_s), "{cycle_s}");
+}
+
+#[test]
 fn a_gauge_that_warms_up_is_no_wrong_gain() {
     let diagnosis = drawn_of_the_paper(2020, 67, &["unknown"]);
     assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Unexplained, vec![]));

@@ -66,3 +66,21 @@ fn a_mass_is_found_at_the_end_of_a_sweep() {
     let diagnosis = common::drawn(1818, 44, &["inertia"]);
     assert_eq!(common::causes(&diagnosis), [("inertia", &[3][..])]);
 }
+
+#[test]
+fn two_parts_that_swing_are_found_on_every_axis() {
+    // 0.24 kg at 607 Hz, a quarter of that at 1700 Hz; without the second one no axis but the loudest comes out.
+    let diagnosis = common::drawn(16161, 102, &["second-mass"]);
+    assert_eq!(common::causes(&diagnosis), [("second-mass", &[1, 2, 3][..])]);
+    let parameters = &diagnosis.causes[0].parameters;
+    let further_hz = parameters["further_hz_1"].value;
+    assert!((1680.0..1720.0).contains(&further_hz), "{further_hz}");
+}
+
+#[test]
+fn an_axis_that_rings_at_the_end_of_one_sweep_alone_is_checked_there() {
+    // Two thirds of that sweep, by time, show nothing of it.
+    let diagnosis = common::drawn(16161, 98, &["inertia"]);
+    assert_eq!(common::causes(&diagnosis), [("inertia", &[1, 2, 3][..])]);
+    assert!(diagnosis.gap.closed > 0.99, "{}", diagnosis.gap.closed);
+}

@@ -220,4 +220,9 @@ fn sensor_effects_act_on_the_reading() {
     let values = [("rate_m_per_s", 1e-9), ("settling_m", 5e-8), ("settling_s", 60.0)];
     let drift = run_from(&single("sensor-drift", &values), 1e3, 600.0, 1.0, |_, _| 0.0);
     assert!((drift.position_m[0][500] - 600.5e-9 - 5e-8).abs() < 1e-11);
+    // To and fro: 601 s are a quarter turn beyond two whole ones of 267.111 s, where the sine is at its crest and the cosine half way down.
+    let cycle_s = 601.0 / 2.25;
+    let values = [("swing_sin_m", 3e-8), ("swing_cos_m", 2e-8), ("cycle_s", cycle_s)];
+    let swing = run_from(&single("sensor-drift", &values), 1e3, 600.0, 2.0, |_, _| 0.0);
+    assert!((swing.position_m[0][1000] - 3e-8 + 2e-8).abs() < 1e-13);
 }

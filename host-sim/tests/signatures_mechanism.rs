@@ -206,6 +206,29 @@ fn a_second_mass_makes_a_dip_at_its_own_frequency_and_a_peak_below() {
 }
 
 #[test]
+fn a_further_part_dips_at_its_own_frequency_beside_the_first() {
+    let two = [
+        ("mass_kg", 0.2),
+        ("frequency_hz", 800.0),
+        ("damping_ratio", 0.005),
+        ("further_kg", 0.05),
+        ("further_hz", 1700.0),
+        ("further_damping", 0.01),
+    ];
+    let (first, two) = (single("second-mass", &two[..3]), single("second-mass", &two));
+    let gain = |rig: &Rig, hz: f64| response(rig, 40.0, 0.1, hz).0;
+    assert!((gain(&two, 5.0) / gain(&one_axis(), 5.0) - 1.0).abs() < 1e-3, "static gain");
+    // At its own frequency each pushes back with m w^2/(2 zeta); the other one, more than an octave away, hardly matters there.
+    let pushes = 0.05 * (TAU * 1700.0f64).powi(2) / 0.02;
+    let expected = over_branch(|branch| 1.0 / (pushes / (STAGE_N_PER_M + branch)).hypot(1.0));
+    let dip = gain(&two, 1700.0) / gain(&first, 1700.0);
+    // Held voltages move it by more at 6 samples a period.
+    assert!(dip > 0.8 * expected.start && dip < 1.25 * expected.end, "dip: {dip} {expected:?}");
+    let same = gain(&two, 800.0) / gain(&first, 800.0);
+    assert!((same - 1.0).abs() < 0.1, "the first one's dip: {same}");
+}
+
+#[test]
 fn friction_steps_by_the_same_force_at_every_reversal() {
     let rig = single("friction", &[("coulomb_n", 5.0), ("presliding_m", 2e-8)]);
     // The nominal loop, moved by 2 * 5 N / (k_p + k) between up and down, at every stroke.

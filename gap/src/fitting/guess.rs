@@ -258,6 +258,12 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
                     ("settling_s", settling_s),
                 ]));
             }
+            for sessions in [0.45, 0.7, 1.0, 1.5, 2.5, 5.0] {
+                for swing in ["swing_sin_m", "swing_cos_m"] {
+                    let cycle = ("cycle_s", sessions * ranges.session_s);
+                    wanted.push(with(&[(swing, typical(swing)), cycle]));
+                }
+            }
         }
         "stage-drag" => {
             for speed in [3.0e-4, 1.0e-3, 3.0e-3, 1.0e-2] {

@@ -211,14 +211,27 @@ pub(crate) fn is_plain(effect: EffectRef) -> bool {
     info.parameters.iter().filter(|p| !is_variety(p)).count() == 1
 }
 
-/// Parameters of an effect that has laws of its own kind, one list a law: a fit that starts from one of them stays with it.
-const LAWS: [(&str, [&[&str]; 2]); 1] = [(
-    "hysteresis-rate",
-    [
-        &["per_decade", "reference_a", "stiffening", "resistance_ohm", "loss_exponent"],
-        &["strain_loss_v", "strain_loss_a", "strain_onset"],
-    ],
-)];
+/// Parameters of an effect that has laws of its own kind, or parts, one list each: a fit that starts from one of them stays with it.
+const LAWS: [(&str, [&[&str]; 2]); 3] = [
+    (
+        "hysteresis-rate",
+        [
+            &["per_decade", "reference_a", "stiffening", "resistance_ohm", "loss_exponent"],
+            &["strain_loss_v", "strain_loss_a", "strain_onset"],
+        ],
+    ),
+    (
+        "sensor-drift",
+        [&["rate_m_per_s", "settling_m", "settling_s"], &["swing_sin_m", "swing_cos_m", "cycle_s"]],
+    ),
+    (
+        "second-mass",
+        [
+            &["mass_kg", "frequency_hz", "damping_ratio"],
+            &["further_kg", "further_hz", "further_damping"],
+        ],
+    ),
+];
 
 /// Parameters that stay at their lower bound in a fit that starts there: a variety of the effect, of which there are starts of its own.
 const STAYS: [(&str, &str); 2] =
@@ -261,6 +274,9 @@ pub(crate) fn keep_laws(knobs: &mut [Knob], values: &[f64]) {
 /// Fastest mode that is told from inertia, as a share of the sample rate.
 const FASTEST_MODE: f64 = 0.35;
 
+/// ... of a further mode beside one that is: a stage with one has others beyond what samples tell.
+const FASTEST_FURTHER_MODE: f64 = 1.0;
+
 /// Step in the frequency of a mode, as a ratio: a lightly damped one is a per cent wide.
 const MODE_STEP: f64 = 4.0e-3;
 
@@ -276,8 +292,10 @@ pub fn knobs_at(effect: EffectRef, place: Place, ranges: &Ranges) -> Vec<Knob> {
         .map(|(index, p)| {
             let mut knob = Knob::effect(effect, place, index);
             // A mass on a spring that is faster than the samples can tell is one that sits fast: inertia.
-            if (info.name, p.name) == ("second-mass", "frequency_hz") {
-                knob.max = knob.max.min(FASTEST_MODE * ranges.rate_hz);
+            if info.name == "second-mass" && ["frequency_hz", "further_hz"].contains(&p.name) {
+                let fastest =
+                    if p.name == "further_hz" { FASTEST_FURTHER_MODE } else { FASTEST_MODE };
+                knob.max = knob.max.min(fastest * ranges.rate_hz);
                 knob.fixed_step = Some(MODE_STEP);
             }
             // A bend that ends far beyond the travel is a gain.

@@ -17,7 +17,7 @@ use crate::judge::accept::{self, AxisGapSize};
 use crate::judge::ambiguity::{self, Standings};
 use crate::judge::monitors::{self, Missing};
 use crate::search::select::{Breadth, Search};
-use crate::session::energy::Energies;
+use crate::session::energy::{Energies, HAS_GAP};
 use crate::session::scene::{Channel, Scene, Stack, Wanted};
 
 /// A search that found something.
@@ -262,7 +262,7 @@ pub(crate) fn with_gap(
 ) -> Vec<usize> {
     let mut sizes: BTreeMap<usize, f64> = BTreeMap::new();
     for (channel, &excess) in scene.channels.iter().zip(excess) {
-        if include(channel) && excess > 0.1 * channel.range.len() as f64 {
+        if include(channel) && excess > HAS_GAP * channel.range.len() as f64 {
             *sizes.entry(channel.track).or_default() += excess;
         }
     }

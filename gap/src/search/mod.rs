@@ -2,20 +2,22 @@
 //!
 //! | step | files |
 //! | --- | --- |
-//! | what each effect of the catalogue promises, by sensitivities | [`screen`] |
+//! | what each effect of the catalogue promises, by sensitivities | [`screen`], `direction` |
 //! | the most promising ones alone, on all axes and on each one | [`select`], `each_axis` |
 //! | one more effect beside the best, up to three | `widen`, `compose`, `joint` |
-//! | where a fit starts that does not get there by itself | `resonance`, `threshold`, `variety` |
+//! | where a fit starts that does not get there by itself | `resonance`, `threshold`, `variety`, `further_mode` |
 //! | what is not worth fitting to the end | `few` |
 //! | other effects in the place of those chosen, fewer, none where they do nothing | `swap`, `trade`, `fewer`, `prune` |
 //! | loops of any law | `loops` |
 //! | the whole of it, checked on recordings held out | `found` |
 
 mod compose;
+mod direction;
 mod each_axis;
 mod few;
 mod fewer;
 pub(crate) mod found;
+mod further_mode;
 mod joint;
 pub(crate) mod loops;
 mod prune;

@@ -12,6 +12,10 @@ use crate::session::scene::{Wanted, dot};
 
 /// A place of an effect must be worth this much cost to stay.
 pub(crate) const WORTH_OF_PLACE: f64 = 40.0;
+/// ... and this share of what the effect's best place is worth, unless it is this share of all that is missing on its axis: what ties axes
+/// together leaves little of a loud one on a quiet one.
+const WORTH_OF_TOP: f64 = 0.004;
+const MOST_OF_AXIS: f64 = 0.5;
 /// ... and this share of what is left on its axis. Less is what the form of another effect there leaves.
 const WORTH_OF_LEFT: f64 = 0.1;
 
@@ -32,8 +36,8 @@ impl Search<'_> {
                 for (p, &place) in term.places.iter().enumerate() {
                     let left =
                         if term.places.len() > 1 { self.left_at(&model, t, place) } else { 0.0 };
-                    let needed =
-                        worth[t][p] > WORTH_OF_PLACE.max(0.004 * top).max(WORTH_OF_LEFT * left);
+                    let of_top = (WORTH_OF_TOP * top).min(MOST_OF_AXIS * self.gap_at(term, place));
+                    let needed = worth[t][p] > WORTH_OF_PLACE.max(of_top).max(WORTH_OF_LEFT * left);
                     let term_needed =
                         noticed[t] && total > WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap);
                     if needed && term_needed {
@@ -59,6 +63,12 @@ impl Search<'_> {
         let axes = axes_seen(self.nominal, model.terms[term].effect, place);
         let stack = &model.fit.stack;
         self.scene.cost_on(stack, axes) - self.scene.noise_on(stack, axes)
+    }
+
+    /// Cost beyond noise that the rig as given leaves on the axes where a term acts at a place.
+    fn gap_at(&self, term: &Term, place: Place) -> f64 {
+        let axes = axes_seen(self.nominal, term.effect, place);
+        self.scene.cost_on(&self.base, axes) - self.scene.noise_on(&self.base, axes)
     }
 
     /// Whether each effect takes off what by itself would count as a gap. With long recordings far less is significant: what another

@@ -92,10 +92,11 @@ impl Mode {
                 // Two springs in series carry the mass at the frequency that is seen: share = k2 / (k + k2).
                 let heavy = SHARES.map(|share| {
                     let mass_kg = share * stiffness_n_per_m / (omega * omega);
-                    vec![mass_kg, hz / (1.0 - share).sqrt(), damping]
+                    [mass_kg, hz / (1.0 - share).sqrt(), damping]
                 });
-                let light = vec![values[0].max(0.1 * typical), hz, damping];
-                std::iter::once(light).chain(heavy).collect()
+                let light = [values[0].max(0.1 * typical), hz, damping];
+                let parts = std::iter::once(light).chain(heavy);
+                parts.map(|part| [&part, &values[part.len()..]].concat()).collect()
             }
         }
     }
@@ -136,7 +137,7 @@ fn lags(start: &[f64], second: [f64; 3]) -> Vec<Vec<f64>> {
 }
 
 /// Recordings in which start values are tried.
-struct Telling {
+pub(super) struct Telling {
     /// Those that hold most of what is left.
     all: Vec<usize>,
     /// Of each axis the one that holds most.
@@ -206,7 +207,7 @@ impl Search<'_> {
 
     /// For every place the one of its offers that leaves least of some recordings, beside the `known` terms. Many offers go through the
     /// most telling recording first.
-    fn best_of_offers(
+    pub(super) fn best_of_offers(
         &self,
         known: &[(Term, Vec<f64>)],
         (effect, places): (EffectRef, &[Place]),
@@ -260,7 +261,7 @@ impl Search<'_> {
 
     /// The recordings that hold most of what is left, and of each axis the one that holds most. A frequency that is off shows where the
     /// resonance rings, and costs a simulation of everything else.
-    fn telling(&self, left: &Stack) -> Telling {
+    pub(super) fn telling(&self, left: &Stack) -> Telling {
         let mut gaps = vec![0.0; self.scene.tracks.len()];
         let mut first = vec![(0.0, None); self.nominal.axes.len()];
         for (row, channel) in left.iter().zip(&self.scene.channels) {

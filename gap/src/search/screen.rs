@@ -6,28 +6,18 @@
 
 use host_sim::effects::{Place, Role};
 use host_sim::rig::Rig;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 
 use crate::Error;
 use crate::fitting::fit::Sensitivities;
 use crate::fitting::guess::{Ranges, settings};
 use crate::fitting::knobs::{EffectRef, axes_seen, places, sees_monitor};
+use crate::search::direction::{Beside, Direction, Known, Room};
 use crate::session::scene::{Channel, Scene, Stack, Wanted, dot};
 
-/// One effect at one place with one set of parameter values, and what it changes.
-pub struct Direction {
-    /// Index into [`Screen::effects`].
-    pub effect: usize,
-    /// Where.
-    pub place: Place,
-    /// Parameter values that were tried.
-    pub values: Vec<f64>,
-    /// Channel and change of its whitened residual.
-    rows: Vec<(usize, Vec<f32>)>,
-    /// Squared length of all rows.
-    energy: f64,
-}
+/// Sizes of the two phases of a drift that comes and goes; the last parameter of the effect is its period.
+const CYCLE_PHASES: [&str; 2] = ["swing_sin_m", "swing_cos_m"];
 
 /// All directions of the catalogue.
 pub struct Screen {
@@ -48,45 +38,6 @@ pub struct Gain {
     pub start: Vec<f64>,
     /// What each knob of the model beside it moves by then, in internal steps; empty without a model.
     pub shift: Vec<f64>,
-}
-
-/// What is already in a model, channel by channel: it is the same for every direction.
-struct Known<'a> {
-    /// Number of knobs.
-    knobs: usize,
-    /// `None` where the residual is not known.
-    channels: Vec<Option<KnownChannel<'a>>>,
-}
-
-/// Knobs that reach a channel, with their inner products.
-struct KnownChannel<'a> {
-    rows: Vec<(usize, &'a Vec<f32>)>,
-    /// With the residual.
-    gradient: Vec<f64>,
-    /// With each other.
-    matrix: DMatrix<f64>,
-}
-
-impl<'a> Known<'a> {
-    fn new(scene: &Scene, stack: &Stack, model: &'a Sensitivities) -> Self {
-        let of_channel = |c: usize| -> Option<KnownChannel<'a>> {
-            let here = stack[c].as_ref()?;
-            let axis = scene.channels[c].axis;
-            let rows: Vec<(usize, &Vec<f32>)> =
-                (0..model.len()).filter_map(|k| model.row(k, c, axis).map(|r| (k, r))).collect();
-            let gradient = rows.iter().map(|(_, row)| dot(row, here)).collect();
-            let mut matrix = DMatrix::zeros(rows.len(), rows.len());
-            for i in 0..rows.len() {
-                for j in 0..=i {
-                    matrix[(i, j)] = dot(rows[i].1, rows[j].1);
-                    matrix[(j, i)] = matrix[(i, j)];
-                }
-            }
-            Some(KnownChannel { rows, gradient, matrix })
-        };
-        let channels = (0..scene.channels.len()).into_par_iter().map(of_channel).collect();
-        Self { knobs: model.len(), channels }
-    }
 }
 
 /// Simulate every effect of `effects` in `rig`, whose residuals are `base`. Places that only reach axes outside the mask beside
@@ -194,8 +145,14 @@ impl Screen {
             .par_iter()
             .map(|d| self.gain(d, stack, known.as_ref()).map(|gain| (d.effect, gain)))
             .collect();
+        let in_phase = |phases: [&Direction; 2]| {
+            let gain = self.cycle_gain(phases, stack, known.as_ref())?;
+            Some((phases[0].effect, gain))
+        };
+        let cycles: Vec<Option<(usize, Gain)>> =
+            self.cycles().into_par_iter().map(in_phase).collect();
         let mut best: Vec<Vec<Gain>> = vec![Vec::new(); self.effects.len()];
-        for (effect, gain) in tested.into_iter().flatten() {
+        for (effect, gain) in tested.into_iter().chain(cycles).flatten() {
             // The two phases of a hum are independent: together they gain what each gains alone.
             if self.effects[effect].info().name.ends_with("-hum") {
                 let frequency = gain.start.last().copied();
@@ -246,46 +203,68 @@ impl Screen {
         };
         let gains =
             self.directions.iter().filter(is_of_it).filter_map(|d| self.gain(d, stack, None));
+        let cycles = self.cycles().into_iter().filter(|phases| phases.iter().all(is_of_it));
+        let gains = gains.chain(cycles.filter_map(|phases| self.cycle_gain(phases, stack, None)));
         gains.max_by(|a, b| a.gain.total_cmp(&b.gain)).map(|gain| gain.start)
     }
 
+    /// Pairs of directions that are the two phases of one cycle of a drift at one place. Unlike those of a hum they are not independent: a
+    /// session may see half a cycle.
+    fn cycles(&self) -> Vec<[&Direction; 2]> {
+        let swings = |direction: &Direction, phase: &str| {
+            let info = self.effects[direction.effect].info();
+            let index = info.parameters.iter().position(|p| p.name == phase);
+            index.is_some_and(|k| direction.values[k] != info.parameters[k].zero)
+        };
+        let sines = self.directions.iter().filter(|d| swings(d, CYCLE_PHASES[0]));
+        let of_sine = |sin| {
+            let Direction { effect, place, values, .. }: &Direction = sin;
+            let is_other = |cos: &&Direction| {
+                (cos.effect, cos.place, cos.values.last()) == (*effect, *place, values.last())
+                    && swings(cos, CYCLE_PHASES[1])
+            };
+            Some([sin, self.directions.iter().find(is_other)?])
+        };
+        sines.filter_map(of_sine).collect()
+    }
+
+    /// What the two phases of a cycle gain together.
+    fn cycle_gain(
+        &self,
+        phases: [&Direction; 2],
+        stack: &Stack,
+        known: Option<&Known>,
+    ) -> Option<Gain> {
+        let [sin, cos] = [phases[0].beside(stack, known)?, phases[1].beside(stack, known)?];
+        let mut product = phases[0].dot(phases[1]);
+        if let (Some(sin), Some(cos)) = (&sin.room, &cos.room) {
+            product -= sin.a_unit.dot(&cos.cross);
+        }
+        let energy = Matrix2::new(sin.energy, product, product, cos.energy);
+        let along = Vector2::new(sin.along, cos.along);
+        let amounts = -(energy.cholesky()?.solve(&along));
+        let gain = -amounts.dot(&along);
+        let parameters = self.effects[phases[0].effect].info().parameters;
+        let mut start = phases[0].values.clone();
+        for (k, p) in parameters.iter().enumerate().filter(|(_, p)| p.role == Role::Size) {
+            let size = amounts[0] * phases[0].values[k] + amounts[1] * phases[1].values[k];
+            start[k] = size.clamp(p.min, p.max);
+        }
+        let shift = match (&sin.room, &cos.room) {
+            (Some(sin), Some(cos)) => {
+                let moved = &sin.alone + amounts[0] * &sin.a_unit + amounts[1] * &cos.a_unit;
+                (-moved).as_slice().to_vec()
+            }
+            _ => Vec::new(),
+        };
+        (gain > 0.0).then_some(Gain { place: phases[0].place, gain, start, shift })
+    }
+
     fn gain(&self, direction: &Direction, stack: &Stack, known: Option<&Known>) -> Option<Gain> {
-        let mut along = 0.0;
-        for (c, row) in &direction.rows {
-            along += dot(row, stack[*c].as_ref()?);
-        }
-        let mut energy = direction.energy;
-        // What the model moves by alone, and for each unit of the direction.
-        let mut room: Option<(DVector<f64>, DVector<f64>)> = None;
-        if let Some(known) = known {
-            let n = known.knobs;
-            let mut matrix = DMatrix::<f64>::identity(n, n) * 1.0e-9;
-            let mut gradient = DVector::zeros(n);
-            let mut cross = DVector::zeros(n);
-            for (c, row) in &direction.rows {
-                let here = known.channels[*c].as_ref()?;
-                for (i, &(a, of_knob)) in here.rows.iter().enumerate() {
-                    gradient[a] += here.gradient[i];
-                    cross[a] += dot(of_knob, row);
-                    for (j, &(b, _)) in here.rows.iter().enumerate() {
-                        matrix[(a, b)] += here.matrix[(i, j)];
-                    }
-                }
-            }
-            if let Some(factor) = matrix.cholesky() {
-                let solved = factor.solve(&cross);
-                along -= solved.dot(&gradient);
-                energy -= solved.dot(&cross);
-                room = Some((factor.solve(&gradient), solved));
-            }
-        }
-        if energy < 1.0e-6 * direction.energy || energy <= 0.0 {
-            return None;
-        }
+        let Beside { along, energy, room } = direction.beside(stack, known)?;
         let shift = |amount: f64| -> Vec<f64> {
-            room.as_ref()
-                .map(|(alone, a_unit)| (-(alone + amount * a_unit)).as_slice().to_vec())
-                .unwrap_or_default()
+            let moved = |room: &Room| -(&room.alone + amount * &room.a_unit);
+            room.as_ref().map(|room| moved(room).as_slice().to_vec()).unwrap_or_default()
         };
         let effect = self.effects[direction.effect];
         let parameters = effect.info().parameters;

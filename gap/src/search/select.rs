@@ -353,6 +353,7 @@ impl<'a> Search<'a> {
         let model = self.fit_model(terms, start.clone(), effort)?;
         let model = self.other_variety(model, effort)?;
         let model = self.other_law(model, &start, effort)?;
+        let model = self.further_mode(model, effort)?;
         self.even_out(model, effort)
     }
 

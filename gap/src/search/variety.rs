@@ -4,7 +4,8 @@
 //! which starts from a corner stays there, and the screen, which tries both, may like the corner at one size better than the knee at a wrong
 //! one. So where the plain variety leaves something the other one is fitted as well.
 //!
-//! Loops widen with the rate by one law or another, and each of them comes near to the others: a fit that begins with one stays with it.
+//! Loops widen with the rate by one law or another, and each of them comes near to the others: a fit that begins with one stays with it. So
+//! do gauges that drift to an end and those that drift to and fro.
 
 use host_sim::effects::{Parameter, Place};
 
@@ -16,11 +17,14 @@ use crate::search::select::{CLOSED, Search, WORTH_OF_FIRST};
 /// Effect, the parameter that is zero in the plain variety, where the other one starts, and by how much the effect's first size grows there.
 const VARIETIES: [(&str, &str, f64, f64); 1] = [("amplifier-current-limit", "knee", 0.35, 1.25)];
 
-/// Effect with laws of several kinds: for each the parameters that are not at their zero where a fit of it begins.
-const BEGINNINGS: [(&str, [&[&str]; 3]); 1] = [(
-    "hysteresis-rate",
-    [&["per_decade"], &["resistance_ohm", "loss_exponent"], &["strain_loss_v"]],
-)];
+/// Effect with laws of several kinds: for each the parameters that are not at their zero, or the default of a shape, where a fit of it begins.
+const BEGINNINGS: [(&str, &[&[&str]]); 2] = [
+    (
+        "hysteresis-rate",
+        &[&["per_decade"], &["resistance_ohm", "loss_exponent"], &["strain_loss_v"]],
+    ),
+    ("sensor-drift", &[&["settling_m"], &["cycle_s"]]),
+];
 /// Share of the gap that a law may leave at most for others to be tried.
 const WORTH_OTHERS: f64 = 0.4;
 
@@ -50,7 +54,7 @@ impl Search<'_> {
         };
         let mut best: Option<Model> = None;
         let width = info.parameters.len();
-        for law in laws {
+        for law in *laws {
             if begun.chunks(width).all(|values| follows(law, values)) {
                 continue;
             }

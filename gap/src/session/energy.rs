@@ -7,6 +7,8 @@ use crate::diagnosis::{AxisGap, Gap};
 use crate::session::floor::Kind;
 use crate::session::scene::{Channel, Scene, Stack};
 
+/// Energy beyond noise from which a channel has a gap, as a share of the noise's.
+pub(crate) const HAS_GAP: f64 = 0.1;
 /// Blocks that a channel is cut into for the bootstrap.
 const BLOCKS_PER_CHANNEL: usize = 16;
 /// Bootstrap draws.

@@ -3,9 +3,12 @@
 //! Recordings are described by how much drive each axis gets in each band. The ones that have a near relative in the session are held out, up to
 //! two fifths, so that no kind of excitation is lost to the fit. A session of one or two recordings is cut into blocks.
 
+use std::ops::Range;
+
+use crate::session::energy::HAS_GAP;
 use crate::session::intake::Track;
 use crate::session::pyramid::{Levels, transform};
-use crate::session::scene::{Channel, Scene};
+use crate::session::scene::{Channel, Scene, Stack};
 
 /// Share of the recordings that are held out.
 const HELD_OUT: f64 = 0.4;
@@ -85,25 +88,60 @@ fn loudness(print: &[f64]) -> f64 {
 }
 
 fn split_blocks(scene: &mut Scene) {
-    cut(scene, &BLOCKS.map(|held_out| (1, held_out)));
+    cut(scene, |_, length| {
+        let at = |block: usize| length * block / BLOCKS.len();
+        let blocks = BLOCKS.iter().enumerate();
+        blocks.map(|(block, &held_out)| (at(block)..at(block + 1), held_out)).collect()
+    });
 }
 
 /// Hold out the last third of every recording: what a calibration is checked on.
 pub fn hold_out_last_third(scene: &mut Scene) {
-    cut(scene, &[(2, false), (1, true)]);
+    cut(scene, |_, length| in_two(2 * length / 3, length));
 }
 
-/// Cut every channel into parts of these relative lengths, held out or not.
-fn cut(scene: &mut Scene, parts: &[(usize, bool)]) {
-    let whole: usize = parts.iter().map(|(length, _)| length).sum();
+/// Share of a recording that either part of it has at least.
+const LEAST_PART: f64 = 0.02;
+
+/// Hold out the end of every recording, from where two thirds of what is missing there have gone by: a resonance that a sweep reaches in
+/// its last second is fitted as well as checked. `raw` are residuals over time in units of the noise; without a gap in them the last third
+/// goes.
+pub(crate) fn hold_out_last_third_of_gap(scene: &mut Scene, raw: &Stack) {
+    let at: Vec<usize> =
+        raw.iter().map(|row| row.as_ref().map_or(0, |row| two_thirds(row))).collect();
+    cut(scene, |channel, length| in_two(at[channel].min(length), length));
+}
+
+/// Where two thirds of the energy beyond noise have gone by.
+fn two_thirds(row: &[f32]) -> usize {
+    let beyond = |x: &f32| f64::from(*x).powi(2) - 1.0;
+    let whole: f64 = row.iter().map(beyond).sum();
+    let length = row.len();
+    if whole < HAS_GAP * length as f64 {
+        return 2 * length / 3;
+    }
+    let least = (LEAST_PART * length as f64) as usize;
+    let mut gone = 0.0;
+    let at = row.iter().position(|x| {
+        gone += beyond(x);
+        gone > 2.0 / 3.0 * whole
+    });
+    at.unwrap_or(length).clamp(least, length - least)
+}
+
+/// Two parts of so many samples, the second one held out.
+fn in_two(at: usize, length: usize) -> Vec<(Range<usize>, bool)> {
+    vec![(0..at, false), (at..length, true)]
+}
+
+/// Cut every channel into the parts that `parts` gives for its number and length, held out or not.
+fn cut(scene: &mut Scene, parts: impl Fn(usize, usize) -> Vec<(Range<usize>, bool)>) {
     let mut channels = Vec::new();
-    for channel in &scene.channels {
+    for (nth, channel) in scene.channels.iter().enumerate() {
         let track = &scene.tracks[channel.track];
-        let at = |gone: usize| channel.range.start + channel.range.len() * gone / whole;
-        let mut gone = 0;
-        for &(length, held_out) in parts {
-            let range = at(gone)..at(gone + length);
-            gone += length;
+        let start = channel.range.start;
+        for (part, held_out) in parts(nth, channel.range.len()) {
+            let range = start + part.start..start + part.end;
             let (axis, kind, sigma) = (channel.axis, channel.kind, channel.sigma);
             let mut part = Channel::new(channel.track, track, axis, kind, sigma, range);
             part.held_out = held_out;
@@ -111,4 +149,25 @@ fn cut(scene: &mut Scene, parts: &[(usize, bool)]) {
         }
     }
     scene.channels = channels;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gap_at_the_very_end_is_in_both_parts() {
+        // A thousand samples of unit noise, and a ringing in the last tenth.
+        let noise = |k: usize| if k % 2 == 0 { 1.0_f32 } else { -1.0 };
+        let quiet: Vec<f32> = (0..1000).map(noise).collect();
+        assert_eq!(two_thirds(&quiet), 666);
+        let ringing: Vec<f32> =
+            (0..1000).map(|k| noise(k) * if k < 900 { 1.0 } else { 5.0 }).collect();
+        // 100 samples of 24 variances beyond the noise: two thirds of that have gone by with the 67th.
+        assert_eq!(two_thirds(&ringing), 966);
+        // Where everything happens in the last instant, either part keeps a fiftieth.
+        let mut click = quiet;
+        click[999] = 1.0e3;
+        assert_eq!(two_thirds(&click), 980);
+    }
 }

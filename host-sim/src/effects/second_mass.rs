@@ -1,4 +1,4 @@
-//! second-mass: a part of the mechanism swings on its own spring.
+//! second-mass: a part of the mechanism swings on its own spring, or two of them do.
 
 use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
 use crate::stages::model::{LinearBlock, Model, StateKind};
@@ -16,10 +16,13 @@ static INFO: Info = Info {
         Parameter::size("mass_kg", "kg", 0.0, (0.0, 1.0e3), 0.1, "mass that swings"),
         Parameter::shape("frequency_hz", "Hz", (1.0, 2.0e4), 800.0, "its frequency with the axis held").by_ratio(),
         Parameter::shape("damping_ratio", "1", (1.0e-4, 2.0), 0.02, "its damping ratio with the axis held").by_ratio(),
+        Parameter::size("further_kg", "kg", 0.0, (0.0, 1.0e3), 0.03, "mass of a further part that swings beside it"),
+        Parameter::shape("further_hz", "Hz", (1.0, 2.0e4), 1500.0, "the further part's frequency with the axis held").by_ratio(),
+        Parameter::shape("further_damping", "1", (1.0e-4, 2.0), 0.02, "the further part's damping ratio with the axis held").by_ratio(),
     ],
     threshold: false,
-    physics: "m2 x2'' = -k2 (x2 - x) - c2 (x2' - x'), the reaction on the axis: a platform on the flexures. The response \
-              dips at the frequency and peaks below; the static gain does not change. Propagated exactly.",
+    physics: "m2 x2'' = -k2 (x2 - x) - c2 (x2' - x'), the reaction on the axis: a platform on the flexures, or its links. The \
+              response dips at the frequency and peaks below; the static gain does not change. Propagated exactly.",
     source: "loaded stages 1.2 to 3.7 kHz, second modes of platform and links (notes/physics.md, sections 3 and 4)",
     revealed_by: "multisine and steps: a resonance with an antiresonance",
     confused_with: &["inertia", "viscoelasticity"],
@@ -54,15 +57,17 @@ impl Effect for SecondMass {
     }
 
     fn apply(&self, values: &[f64], place: Place, model: &mut Model, _step_s: f64) {
-        let [mass_kg, frequency_hz, damping_ratio] = values[..3] else { return };
-        if mass_kg <= 0.0 {
-            return;
+        for part in values.chunks_exact(3) {
+            let [mass_kg, frequency_hz, damping_ratio] = *part else { continue };
+            if mass_kg <= 0.0 {
+                continue;
+            }
+            let rate = std::f64::consts::TAU * frequency_hz;
+            model.axes[place.on()].mechanism.linear.push(Box::new(Swinging {
+                mass_kg,
+                stiffness: mass_kg * rate * rate,
+                damping: 2.0 * damping_ratio * rate * mass_kg,
+            }));
         }
-        let rate = std::f64::consts::TAU * frequency_hz;
-        model.axes[place.on()].mechanism.linear.push(Box::new(Swinging {
-            mass_kg,
-            stiffness: mass_kg * rate * rate,
-            damping: 2.0 * damping_ratio * rate * mass_kg,
-        }));
     }
 }
