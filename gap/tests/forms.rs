@@ -53,6 +53,15 @@ fn a_current_limit_far_below_one_fast_edge_is_found() {
 }
 
 #[test]
+fn creep_that_bends_with_the_logarithm_of_time_is_no_relaxation() {
+    // A relaxation with a gauge that drifts would leave less than creep by the logarithm.
+    let diagnosis = drawn(17171, 28, &["creep"]);
+    assert_eq!(diagnosis.verdict, Verdict::Explained);
+    assert_eq!(causes(&diagnosis)[0], ("creep", &[1, 2, 3][..]));
+    assert!(diagnosis.gap.closed > 0.998, "{}", diagnosis.gap.closed);
+}
+
+#[test]
 fn a_gauge_that_drifts_to_and_fro_drifts() {
     // It comes and goes once in the session's 150 s.
     let diagnosis = drawn(15151, 53, &["sensor-drift"]);

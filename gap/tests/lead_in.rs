@@ -43,7 +43,16 @@ fn replayed(
     measured: impl Fn(f64) -> Option<f64>,
 ) -> [[f64; 3]; 2] {
     let drive = drive_v();
-    let drives = [&drive[..]; 3];
+    replayed_with(rig, [&drive; 3], pasts, measured)
+}
+
+/// The same with a drive of its own for each axis.
+fn replayed_with(
+    rig: &Rig,
+    drives: [&[f64]; 3],
+    pasts: [&[(f64, f64)]; 3],
+    measured: impl Fn(f64) -> Option<f64>,
+) -> [[f64; 3]; 2] {
     let input = Input {
         sample_rate_hz: RATE_HZ,
         start_s: 0.0,
@@ -119,6 +128,20 @@ fn without_creep_or_gauges_the_lead_in_tells_nothing() {
     assert_eq!(without, with);
     let [without, with] = replayed(&creeping(0.02), pasts, |measured_m| Some(0.7 * measured_m));
     assert_eq!(without, with);
+}
+
+#[test]
+fn an_axis_that_is_idle_while_others_lead_in_stays_rested() {
+    let pasts = [&[(60.0, 90.0), (8.0, 0.0)][..]; 3];
+    let drive = drive_v();
+    // One is driven by half a millivolt of noise alone, one only from where positions are scored.
+    let mut rng = StdRng::seed_from_u64(6);
+    let idle: Vec<f64> = drive.iter().map(|_| 1.0e-3 * (rng.random::<f64>() - 0.5)).collect();
+    let later = [&idle[..SETTLE], &drive[SETTLE..]].concat();
+    let drives = [&drive[..], &idle, &later];
+    let [without, with] = replayed_with(&creeping(0.02), drives, pasts, Some);
+    assert!(with[0] < 0.2 * without[0], "driven: {} -> {} m", without[0], with[0]);
+    assert_eq!([without[1], without[2]], [with[1], with[2]], "idle");
 }
 
 /// A law of creep that is not the catalogue's, in a session in which it runs on from file to file: its recordings are promised and replayed

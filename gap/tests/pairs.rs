@@ -85,3 +85,11 @@ fn a_loop_of_another_law_beside_a_hum_is_no_bent_gauge() {
     assert_eq!(named, [("hysteresis-shape", &[3][..]), ("sensor-hum", &[1, 2, 3])]);
     assert_eq!(diagnosis.verdict, Verdict::Explained);
 }
+
+#[test]
+fn what_the_form_of_a_delay_leaves_is_no_gain() {
+    // 1.3 nm of noise 4 nm beside a delay of 172 nm on axis 1: a gain of 0.4 % there takes an eighth of it.
+    let diagnosis = drawn(17171, 109, &["drive-delay", "drive-gain"]);
+    let named = vec![("drive-delay", &[1, 2, 3][..]), ("drive-gain", &[2, 3])];
+    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+}

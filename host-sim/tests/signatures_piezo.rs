@@ -231,6 +231,33 @@ fn creep_goes_with_the_logarithm_of_time_and_with_the_step() {
 }
 
 #[test]
+fn creep_may_grow_with_the_level_and_from_decade_to_decade() {
+    // Growth over two decades from 0.1 s and one second after a step.
+    let grown = |settings: &[(&str, f64)], height: f64| {
+        let all = [&[("per_decade", 0.015)], settings].concat();
+        let x = run(&single("creep", &all), 1e3, 12.0, move |t| if t < 1.0 { 0.0 } else { height })
+            .position_m
+            .remove(0);
+        let at = |t: f64| x[(t * 1e3) as usize];
+        [at(2.0) - at(1.1), at(11.0) - at(2.0)]
+    };
+    for height in [30.0, 60.0] {
+        let plain = grown(&[], height);
+        // What creeps is the transducer voltage, less than the step by what the slip elements hold: 13 V at most.
+        let levelled = grown(&[("level", 0.4)], height);
+        for (more, less) in levelled.iter().zip(plain) {
+            let most = 1.0 + 0.4 * height / 100.0;
+            let least = 1.0 + 0.4 * (height - 14.0) / 100.0;
+            assert!((least..most).contains(&(more / less)), "{height} V: {}", more / less);
+        }
+        // A decade about one second is as it was, the next one more by its time to this power.
+        let tilted = grown(&[("tilt", 0.1)], height);
+        let steeper = (tilted[1] / tilted[0]) / (plain[1] / plain[0]);
+        assert!((steeper / 10.0f64.powf(0.1) - 1.0).abs() < 0.04, "{height} V: {steeper}");
+    }
+}
+
+#[test]
 fn piezo_gain_changes_stroke_and_loop() {
     let rig = single("piezo-gain", &[("ratio", 1.05)]);
     let stroke = |rig: &Rig| {

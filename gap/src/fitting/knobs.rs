@@ -212,7 +212,7 @@ pub(crate) fn is_plain(effect: EffectRef) -> bool {
 }
 
 /// Parameters of an effect that has laws of its own kind, or parts, one list each: a fit that starts from one of them stays with it.
-const LAWS: [(&str, [&[&str]; 2]); 3] = [
+const LAWS: [(&str, [&[&str]; 2]); 4] = [
     (
         "hysteresis-rate",
         [
@@ -224,6 +224,7 @@ const LAWS: [(&str, [&[&str]; 2]); 3] = [
         "sensor-drift",
         [&["rate_m_per_s", "settling_m", "settling_s"], &["swing_sin_m", "swing_cos_m", "cycle_s"]],
     ),
+    ("creep", [&["per_decade", "onset_s"], &["level", "tilt"]]),
     (
         "second-mass",
         [

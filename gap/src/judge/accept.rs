@@ -102,10 +102,13 @@ pub fn is_clean(scene: &Scene, stack: &Stack) -> bool {
     gaps(scene, stack).iter().all(|gap| !gap.counts)
 }
 
-/// Whether the difference between two stacks would count as a gap, on any axis or in any recording of one.
-pub fn counts(scene: &Scene, without: &Stack, with: &Stack) -> bool {
-    let mut axes = vec![(0.0, 0.0); scene.position_noise.len()];
+/// Whether the difference between two stacks would count as a gap, on any axis in the mask `axes` or in any recording of one.
+pub fn counts(scene: &Scene, without: &Stack, with: &Stack, axes: u32) -> bool {
+    let mut sums = vec![(0.0, 0.0); scene.position_noise.len()];
     for (c, channel) in scene.channels.iter().enumerate() {
+        if axes >> channel.axis & 1 == 0 {
+            continue;
+        }
         let (Some(without), Some(with)) = (&without[c], &with[c]) else { continue };
         let (own, floor, _) = channel.excess_of(without);
         let saved = own - channel.excess(with);
@@ -113,11 +116,11 @@ pub fn counts(scene: &Scene, without: &Stack, with: &Stack) -> bool {
             return true;
         }
         if channel.kind == Kind::Position {
-            let sum = &mut axes[channel.axis];
+            let sum = &mut sums[channel.axis];
             *sum = (sum.0 + saved, sum.1 + floor);
         }
     }
-    axes.iter().any(|(saved, floor)| *saved > AXIS_EXCESS * floor)
+    sums.iter().any(|(saved, floor)| *saved > AXIS_EXCESS * floor)
 }
 
 /// Bit mask of the axes where something may be missing: far looser than [`gaps`], since it only saves work. The noise is known to

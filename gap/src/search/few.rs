@@ -34,6 +34,11 @@ impl Line {
     pub(crate) const ALONE: Self = Self { of_best: 3.0, of_gap: 0.3 };
     /// For effects beside others.
     pub(crate) const BESIDE: Self = Self { of_best: 1.5, of_gap: 0.004 };
+
+    /// The same with no more than this share of the gap.
+    pub(crate) fn of_gap_at_most(self, share: f64) -> Self {
+        Self { of_gap: self.of_gap.min(share), ..self }
+    }
 }
 
 /// Few recordings of a session.

@@ -7,6 +7,7 @@ use crate::Error;
 use crate::fitting::fit::Effort;
 use crate::fitting::knobs::axes_seen;
 use crate::fitting::model::{Model, Term};
+use crate::judge::accept;
 use crate::search::select::{Search, WORTH_ABSOLUTE, WORTH_OF_GAP};
 use crate::session::scene::{Wanted, dot};
 
@@ -24,7 +25,7 @@ impl Search<'_> {
     pub fn prune(&self, model: Model) -> Result<Model, Error> {
         let mut model = model;
         loop {
-            let worth = self.worth(&model)?;
+            let (worth, counts) = self.worth(&model)?;
             let noticed = self.noticed(&model)?;
             let mut kept_terms = Vec::new();
             let mut start = Vec::new();
@@ -40,7 +41,7 @@ impl Search<'_> {
                     let needed = worth[t][p] > WORTH_OF_PLACE.max(of_top).max(WORTH_OF_LEFT * left);
                     let term_needed =
                         noticed[t] && total > WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap);
-                    if needed && term_needed {
+                    if needed && term_needed && counts[t][p] {
                         places.push(place);
                         start.extend_from_slice(model.values(t, p));
                     } else {
@@ -82,15 +83,18 @@ impl Search<'_> {
             .collect::<Result<Vec<_>, _>>()?;
         let jobs: Vec<(&Rig, Wanted)> = rigs.iter().map(|rig| (rig, Wanted::ALL)).collect();
         let stacks = self.scene.residuals(&jobs, self.include)?;
-        let counts = |without| crate::judge::accept::counts(self.scene, without, &model.fit.stack);
+        let counts = |without| accept::counts(self.scene, without, &model.fit.stack, u32::MAX);
         Ok(stacks.iter().map(counts).collect())
     }
 
-    /// Rise of the cost when each place of each term is taken out, the rest left as it is.
-    pub fn worth(&self, model: &Model) -> Result<Vec<Vec<f64>>, Error> {
+    /// Rise of the cost when each place of each term is taken out, the rest left as it is, and whether it would count as a gap beside
+    /// other terms: what the form of one of them leaves on an axis is no cause there.
+    fn worth(&self, model: &Model) -> Result<(Vec<Vec<f64>>, Vec<Vec<bool>>), Error> {
         let mut worth = Vec::new();
+        let mut counts = Vec::new();
         for (t, term) in model.terms.iter().enumerate() {
             let mut row = vec![0.0; term.places.len()];
+            let mut marks = vec![true; term.places.len()];
             // Places that reach different channels share a simulation.
             let mut groups: Vec<(Vec<usize>, u32)> = Vec::new();
             for (p, &place) in term.places.iter().enumerate() {
@@ -110,6 +114,8 @@ impl Search<'_> {
                 let stack = self.scene.residuals_at(&rig, wanted, self.include)?;
                 for &p in &members {
                     let mask = axes_seen(self.nominal, term.effect, term.places[p]);
+                    marks[p] = model.terms.len() < 2
+                        || accept::counts(self.scene, &stack, &model.fit.stack, mask);
                     for (c, channel) in self.scene.channels.iter().enumerate() {
                         if mask >> channel.axis & 1 == 0 {
                             continue;
@@ -121,7 +127,8 @@ impl Search<'_> {
                 }
             }
             worth.push(row);
+            counts.push(marks);
         }
-        Ok(worth)
+        Ok((worth, counts))
     }
 }

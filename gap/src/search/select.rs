@@ -12,6 +12,7 @@ use crate::fitting::fit::{Effort, cost, fit};
 use crate::fitting::guess::Ranges;
 use crate::fitting::knobs::EffectRef;
 use crate::fitting::model::{Model, Term, knobs_of, start_terms};
+use crate::judge::accept;
 use crate::search::few::{Few, Line};
 use crate::search::screen::{Gain, Screen, screen};
 use crate::session::scene::{Channel, Scene, Stack, Wanted};
@@ -63,6 +64,11 @@ const FAIR: f64 = 0.3;
 /// ... beside one that closes all of it.
 const RIVAL: f64 = 0.03;
 
+/// Share of the gap that an effect beside others may leave for its fit to go on,
+const BESIDE: f64 = 0.02;
+/// ... and as a multiple of what a model leaves that closes the gap on every axis.
+const RIVAL_OF_CLEAN: f64 = 10.0;
+
 /// The search: scene, nominal rig, screen of the catalogue and what the whole gap costs.
 pub struct Search<'a> {
     /// Session.
@@ -106,7 +112,7 @@ impl<'a> Search<'a> {
         let base = scene.residuals_at(nominal, Wanted::ALL, include)?;
         let noise = scene.noise_on(&base, u32::MAX);
         let gap = cost(&base) - noise;
-        let loud = crate::judge::accept::loud_axes(scene, &base);
+        let loud = accept::loud_axes(scene, &base);
         let few = Few::new(scene, &base, loud);
         let screen = screen(scene, nominal, (&base, loud), effects, ranges, include, tick)?;
         Ok(Self {
@@ -180,7 +186,7 @@ impl<'a> Search<'a> {
                 break;
             }
             let left = candidate.fit.cost - self.noise;
-            let is_closed = crate::judge::accept::is_clean(self.scene, &candidate.fit.stack);
+            let is_closed = accept::is_clean(self.scene, &candidate.fit.stack);
             best = Some(candidate);
             if size == MOST_EFFECTS
                 || is_closed
@@ -189,7 +195,7 @@ impl<'a> Search<'a> {
                 break;
             }
             // What suits different axes may account for everything already.
-            let is_done = |m: Model| crate::judge::accept::is_clean(self.scene, &m.fit.stack);
+            let is_done = |m: Model| accept::is_clean(self.scene, &m.fit.stack);
             if self.best_of(size + 1).is_some_and(is_done) {
                 continue;
             }
@@ -227,12 +233,11 @@ impl<'a> Search<'a> {
     /// Whether a model takes nearly everything off what a smaller one leaves on one axis, more than its noise. Beside a large effect on all
     /// axes that is little.
     fn closes_an_axis(&self, smaller: &Model, larger: &Model, saved: f64) -> bool {
-        let [before, after] =
-            [smaller, larger].map(|m| crate::judge::accept::gaps(self.scene, &m.fit.stack));
+        let [before, after] = [smaller, larger].map(|m| accept::gaps(self.scene, &m.fit.stack));
         // What an effect of another law leaves is its own.
         let is_of_one_law = |axis: usize| {
             let mut here = smaller.terms.iter().filter(|term| term.axes().contains(&axis));
-            here.all(|term| !crate::judge::accept::has_many_laws(term.name()))
+            here.all(|term| !accept::has_many_laws(term.name()))
         };
         saved > WORTH_ABSOLUTE
             && before.iter().zip(&after).enumerate().any(|(axis, (before, after))| {
@@ -339,14 +344,18 @@ impl<'a> Search<'a> {
             let open = if best - self.noise < CLOSED * self.gap { RIVAL } else { FAIR };
             self.noise + (3.0 * (best - self.noise)).max(open * self.gap)
         } else {
-            best.max(self.noise + 0.02 * self.gap) + 0.05 * (best - self.noise).max(0.0)
+            best.max(self.noise + self.may_leave() * self.gap) + 0.05 * (best - self.noise).max(0.0)
         };
         let further = self.tried.first().filter(|first| terms.len() > first.terms.len());
         let worth = further.map_or(f64::INFINITY, |first| {
             first.fit.cost - self.worth_of_further(first.fit.cost - self.noise)
         });
         let effort = Effort { iterations: 8, tolerance: 2.0e-2, hopeless, worth, ..self.effort() };
-        let line = if known.is_empty() { Line::ALONE } else { Line::BESIDE };
+        let line = if known.is_empty() {
+            Line::ALONE
+        } else {
+            Line::BESIDE.of_gap_at_most(self.may_leave())
+        };
         if let Some(values) = self.hopeless_on_few(&terms, &start, effort, line)? {
             return self.fit_model(terms, values, Effort { iterations: 0, ..effort });
         }
@@ -355,6 +364,14 @@ impl<'a> Search<'a> {
         let model = self.other_law(model, &start, effort)?;
         let model = self.further_mode(model, effort)?;
         self.even_out(model, effort)
+    }
+
+    /// Share of the gap that an effect beside others may leave for its fit to go on. Once a model leaves no gap at all, only what comes near
+    /// to it is of interest: what else it could be.
+    fn may_leave(&self) -> f64 {
+        let best = self.tried.first().filter(|m| accept::is_clean(self.scene, &m.fit.stack));
+        let left = |m: &Model| (m.fit.cost - self.noise).max(WORTH_ABSOLUTE) / self.gap;
+        best.map_or(BESIDE, |best| (RIVAL_OF_CLEAN * left(best)).min(BESIDE))
     }
 
     /// Axes may have run into different local minima: start all of them from the values of each other, and keep what is better.

@@ -4,6 +4,8 @@
 //! which starts from a corner stays there, and the screen, which tries both, may like the corner at one size better than the knee at a wrong
 //! one. So where the plain variety leaves something the other one is fitted as well.
 //!
+//! Creep goes with the logarithm of time and with the voltage, or a little otherwise in either: two numbers more, which most stacks do not need.
+//!
 //! Loops widen with the rate by one law or another, and each of them comes near to the others: a fit that begins with one stays with it. So
 //! do gauges that drift to an end and those that drift to and fro.
 
@@ -15,7 +17,8 @@ use crate::fitting::model::Model;
 use crate::search::select::{CLOSED, Search, WORTH_OF_FIRST};
 
 /// Effect, the parameter that is zero in the plain variety, where the other one starts, and by how much the effect's first size grows there.
-const VARIETIES: [(&str, &str, f64, f64); 1] = [("amplifier-current-limit", "knee", 0.35, 1.25)];
+const VARIETIES: [(&str, &str, f64, f64); 2] =
+    [("amplifier-current-limit", "knee", 0.35, 1.25), ("creep", "level", 0.1, 1.0)];
 
 /// Effect with laws of several kinds: for each the parameters that are not at their zero, or the default of a shape, where a fit of it begins.
 const BEGINNINGS: [(&str, &[&[&str]]); 2] = [

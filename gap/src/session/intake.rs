@@ -76,17 +76,36 @@ pub fn tracks(rig: &Rig, session: &Session) -> Result<(Vec<Track>, Vec<String>),
     let all_short = session.recordings.iter().all(|entry| short(&entry.recording));
     let mut tracks = Vec::with_capacity(session.recordings.len());
     let mut passed_over = Vec::new();
+    let mut unscored = Vec::new();
     for entry in &session.recordings {
         if short(&entry.recording) && !all_short {
             passed_over.push(format!(
                 "{}: nothing to score after settle_s = {} s; passed over.",
                 entry.file, entry.recording.meta.settle_s
             ));
+            if !entry.recording.is_empty() {
+                unscored.push(track(rig, &entry.file, &entry.recording)?);
+            }
             continue;
         }
-        tracks.push(track(rig, &entry.file, &entry.recording)?);
+        let track = track(rig, &entry.file, &entry.recording)?;
+        let scored = track.present.iter().skip(track.settle).filter(|&&p| p).count();
+        if scored < FEWEST_SAMPLES {
+            return Err(Error::Recording {
+                file: entry.file.clone(),
+                message: format!(
+                    "only {scored} samples after settle_s = {} s: expected at least {FEWEST_SAMPLES}",
+                    entry.recording.meta.settle_s
+                ),
+            });
+        }
+        tracks.push(track);
     }
+    // The stacks went through those as well.
+    let scored = tracks.len();
+    tracks.extend(unscored);
     crate::session::past::remember(rig, &mut tracks);
+    tracks.truncate(scored);
     Ok((tracks, passed_over))
 }
 
@@ -130,13 +149,6 @@ fn track(rig: &Rig, file: &str, recording: &Recording) -> Result<Track, Error> {
     // The state of amplifier and stack before the first sample is not known: nothing is scored for a moment.
     let settle =
         (recording.meta.settle_s.max(RECOVERY_S) * recording.meta.sample_rate_hz).ceil() as usize;
-    let scored = present.iter().skip(settle).filter(|&&p| p).count();
-    if scored < FEWEST_SAMPLES {
-        return Err(bad(format!(
-            "only {scored} samples after settle_s = {} s: expected at least {FEWEST_SAMPLES}",
-            recording.meta.settle_s
-        )));
-    }
     let held = |column: &[f32]| -> Vec<f64> {
         let mut out = vec![0.0; n];
         for (row, &sample) in at.iter().enumerate() {

@@ -15,11 +15,14 @@ static INFO: Info = Info {
     parameters: &[
         Parameter::size("per_decade", "1", 0.0, (0.0, 0.3), 0.015, "growth of the stroke a decade of time"),
         Parameter::shape("onset_s", "s", (1.0e-4, 10.0), 0.02, "time after a step from which it goes with the logarithm").by_ratio(),
+        Parameter::size("level", "1", 0.0, (-0.9, 2.0), 0.2, "share by which creep is more, for its step, at 100 V than near 0 V"),
+        Parameter::size("tilt", "1", 0.0, (-0.5, 0.5), 0.05, "power of the time that a decade's growth goes with; 0 is the logarithm"),
     ],
     threshold: false,
     physics: "A step of the transducer voltage goes on as x(t) = x0 (1 + per_decade lg(1 + t/onset)): domains that switch \
               late. Built as a chain of slow strains in front of the stack's stiffness, two a decade up to \
-              1e5 onset, each exact over a tick. Restarts at every step, in proportion to it; draws charge.",
+              1e5 onset, each exact over a tick. Restarts at every step, in proportion to it, or, with level, to v (1 + level |v|/100 V); with tilt a \
+              decade's growth goes with its time/1 s to this power. Draws charge.",
     source: "1 to 2 % a decade from 0.1 s (notes/physics.md, sections 2 and 4, S13)",
     revealed_by: "steps held for ten seconds and more, at two heights",
     confused_with: &["viscoelasticity", "sensor-drift", "hysteresis-rate"],
@@ -36,15 +39,17 @@ impl Effect for Creep {
     }
 
     fn apply(&self, values: &[f64], place: Place, model: &mut Model, _step_s: f64) {
-        let (per_decade, onset_s) = (values[0], values[1]);
+        let [per_decade, onset_s, level, tilt] = values[..4] else { return };
         // ln(1 + t/onset) is the integral of (1 - e^(-t/tau)) e^(-onset/tau) over ln tau.
         let strains = (0..STRAINS).map(|j| {
             let ratio = 10f64.powf((j as f64 - 1.0) / PER_DECADE as f64);
-            Kelvin {
-                share: per_decade / PER_DECADE as f64 * (-1.0 / ratio).exp(),
-                time_constant_s: onset_s * ratio,
-            }
+            let time_constant_s = onset_s * ratio;
+            let growth = per_decade * time_constant_s.powf(tilt);
+            let share = growth / PER_DECADE as f64 * (-1.0 / ratio).exp();
+            Kelvin { share, time_constant_s }
         });
-        model.axes[place.on()].piezo.creep.extend(strains);
+        let piezo = &mut model.axes[place.on()].piezo;
+        piezo.creep.extend(strains);
+        piezo.creep_level_per_v = level / 100.0;
     }
 }

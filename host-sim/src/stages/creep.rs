@@ -1,4 +1,7 @@
 //! Slow strains of one stack, each exact for a transducer voltage that is straight over the tick.
+//!
+//! They may go with more than the voltage, `v (1 + level |v|)`: of what goes with its square the change over a tick is added once the tick
+//! is done, since a tick adds next to nothing to what moves slowly.
 
 use super::model::Kelvin;
 use crate::start::Stretch;
@@ -11,6 +14,9 @@ pub struct CreepSim {
     strains: Vec<Lanes>,
     from_end: f64,
     shares: f64,
+    level_per_v: f64,
+    /// What goes with the square of the voltage at the start of the tick, V.
+    squared_v: f64,
 }
 
 #[derive(Clone, Copy, Default)]
@@ -27,12 +33,14 @@ struct Lanes {
 }
 
 impl CreepSim {
-    /// Build for a tick of `step_s`.
-    pub fn new(strains: &[Kelvin], step_s: f64) -> Self {
+    /// Build for a tick of `step_s`; the strains grow with the transducer voltage by `level_per_v`.
+    pub fn new(strains: &[Kelvin], level_per_v: f64, step_s: f64) -> Self {
         let mut sim = Self {
             strains: vec![Lanes::default(); strains.len().div_ceil(LANES)],
             from_end: 0.0,
             shares: 0.0,
+            level_per_v,
+            squared_v: 0.0,
         };
         for (i, kelvin) in strains.iter().enumerate() {
             let ratio = step_s / kelvin.time_constant_s;
@@ -80,13 +88,20 @@ impl CreepSim {
         self.strains.iter().flat_map(|lanes| lanes.state_v).sum()
     }
 
+    /// What goes with the square of a voltage, V.
+    #[inline]
+    fn squared(&self, voltage_v: f64) -> f64 {
+        self.level_per_v * voltage_v * voltage_v.abs()
+    }
+
     /// Settle at a transducer voltage held for ever, then live through a past, the oldest stretch first.
     pub fn settle(&mut self, held_v: f64, past: &[Stretch]) {
+        let drives_v = |voltage_v: f64| voltage_v + self.level_per_v * voltage_v * voltage_v.abs();
         for lanes in &mut self.strains {
             lanes.state_v = std::array::from_fn(|lane| {
-                let strain_v = past.iter().fold(held_v, |before_v, stretch| {
+                let strain_v = past.iter().fold(drives_v(held_v), |before_v, stretch| {
                     let gone = -(-stretch.lasted_s * lanes.rate[lane]).exp_m1();
-                    before_v + (stretch.transducer_v - before_v) * gone
+                    before_v + (drives_v(stretch.transducer_v) - before_v) * gone
                 });
                 lanes.share[lane] * strain_v
             });
@@ -97,10 +112,13 @@ impl CreepSim {
     #[inline]
     pub fn begin(&mut self, start_v: f64) -> (f64, f64) {
         let mut sum = [0.0; LANES];
+        self.squared_v = self.squared(start_v);
+        let (start_v, held_v) = (start_v + self.squared_v, self.squared_v);
         for lanes in &mut self.strains {
             for (lane, sum) in sum.iter_mut().enumerate() {
-                lanes.coming_v[lane] =
-                    lanes.decay[lane] * lanes.state_v[lane] + lanes.from_start[lane] * start_v;
+                lanes.coming_v[lane] = lanes.decay[lane] * lanes.state_v[lane]
+                    + lanes.from_start[lane] * start_v
+                    + lanes.from_end[lane] * held_v;
                 *sum += lanes.coming_v[lane];
             }
         }
@@ -110,6 +128,7 @@ impl CreepSim {
     /// Accept the tick that began last, at the end of which the transducer voltage is `end_v`.
     #[inline]
     pub fn commit(&mut self, end_v: f64) {
+        let end_v = end_v + (self.squared(end_v) - self.squared_v);
         for lanes in &mut self.strains {
             for lane in 0..LANES {
                 lanes.state_v[lane] = lanes.coming_v[lane] + lanes.from_end[lane] * end_v;

@@ -103,6 +103,8 @@ pub struct PiezoModel {
     pub rate: Option<Box<dyn RateLaw>>,
     /// Slow strain.
     pub creep: Vec<Kelvin>,
+    /// Growth of the slow strain with the transducer voltage, 1/V.
+    pub creep_level_per_v: f64,
 }
 
 /// Loss between charge and strain: the stack pushes as if the transducer voltage were `voltage_v ln(1 + u^onset) / onset`,
@@ -258,6 +260,7 @@ impl AxisModel {
                 strain_loss: None,
                 rate: None,
                 creep: Vec::new(),
+                creep_level_per_v: 0.0,
             },
             mechanism: MechanismModel {
                 stiffness_n_per_m: axis.mechanism.stiffness_n_per_m,

@@ -18,7 +18,7 @@ impl Steps {
     pub(super) fn new(model: &AxisModel, step_s: f64, shape_s: f64, added: &[f64]) -> Self {
         let mechanism = LinearMechanism::new(model, step_s, shape_s, added);
         let piezo = &model.piezo;
-        let creep = CreepSim::new(&piezo.creep, step_s);
+        let creep = CreepSim::new(&piezo.creep, piezo.creep_level_per_v, step_s);
         let ticks = alone::ticks(
             &mechanism,
             piezo.transformer_n_per_v,
