@@ -118,6 +118,13 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
         (looked, judged) = looks.run(looked, &excess, by_blocks, &bar)?;
     }
     notes.append(&mut judged.notes);
+    if looked.scene.work.is_spent() {
+        notes.push(format!(
+            "The search ended before everything was tried, after what amounts to {} simulations of the session: what is named is the best until \
+             then. Fewer or shorter recordings of what shows the gap leave it more time for each.",
+            looked.scene.work.passes()
+        ));
+    }
     let Judged { mut found, masked, was_found, .. } = judged;
     let Looked { scene, nominal, .. } = looked;
     if !was_found && rig.axes.len() > 1 && nominal.any_gap() {

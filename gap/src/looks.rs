@@ -2,7 +2,7 @@
 //!
 //! What is found in the recordings that are fitted is checked on those that are held out. Some of these may hold a gap that the others
 //! do not show: then they are fitted and others held out, and the look stands that closes more of the session. A second look
-//! takes as long as the first one, and is not taken where something outside the catalogue accounts for what the first one came to.
+//! takes as long as the first one, and is not taken where something outside the catalogue accounts for what the first one came to on every axis with a gap.
 
 use host_sim::rig::Rig;
 use indicatif::ProgressBar;
@@ -79,8 +79,13 @@ impl Looks<'_> {
         let open = self.left_open(&first, believed.as_ref())?;
         let judged = self.judge(&first, believed, notes)?;
         // What a stranger accounts for is the same with other recordings.
-        let is_strange = judged.masked.is_some();
-        let looks_again = !missed.is_empty() && first.scene.tracks.len() >= 3 && !by_blocks;
+        let gaps = &first.nominal.gaps;
+        let accounts_for_all = |masked: &Masked| {
+            (0..gaps.len()).all(|axis| !gaps[axis].counts || masked.axes.contains(&axis))
+        };
+        let is_strange = judged.masked.as_ref().is_some_and(accounts_for_all);
+        let may_look = first.scene.tracks.len() >= 3 && !by_blocks && !first.scene.work.is_spent();
+        let looks_again = !missed.is_empty() && may_look;
         if is_strange || !looks_again || !self.fits(&first, excess)? {
             return Ok((first, judged));
         }

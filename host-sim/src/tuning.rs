@@ -31,11 +31,13 @@ pub fn controller_settings(rig: &Rig) -> Settings {
     settings
 }
 
-/// Decades of creep in Kelvin-Voigt form: equal gains at time constants a decade apart give a straight line in log time.
-pub fn log_creep(per_decade: f64) -> impl Iterator<Item = CreepSettings> {
-    [0.1f32, 1.0, 10.0, 100.0, 1_000.0]
-        .into_iter()
-        .map(move |time_constant_s| CreepSettings { gain: per_decade as f32, time_constant_s })
+/// Decades of creep in Kelvin-Voigt form: equal gains at time constants a decade apart give a straight line in log time, and gains that go
+/// with a power of them one that bends. What goes with the level is left to the loop.
+pub fn log_creep(per_decade: f64, tilt: f64) -> impl Iterator<Item = CreepSettings> {
+    [0.1f32, 1.0, 10.0, 100.0, 1_000.0].into_iter().map(move |time_constant_s| CreepSettings {
+        gain: (per_decade * f64::from(time_constant_s).powf(tilt)) as f32,
+        time_constant_s,
+    })
 }
 
 fn axis_settings(rig: &Rig, k: usize, axis: &Axis) -> AxisSettings {
@@ -72,7 +74,7 @@ fn axis_settings(rig: &Rig, k: usize, axis: &Axis) -> AxisSettings {
     let feedforward = FeedforwardSettings {
         creep: effect("creep", "per_decade")
             .filter(|c| *c > 0.0)
-            .map(log_creep)
+            .map(|per_decade| log_creep(per_decade, added("creep", "tilt")))
             .into_iter()
             .flatten()
             .collect(),

@@ -33,13 +33,13 @@ pub(super) struct Chain {
 impl Chain {
     /// For growth by `per_decade`, with these strains (um) to start from.
     pub fn new(per_decade: f64, strains_um: &[f64]) -> Self {
-        let times = tuning::log_creep(1.0).map(|e| f64::from(e.time_constant_s));
+        let times = tuning::log_creep(1.0, 0.0).map(|e| f64::from(e.time_constant_s));
         Self { per_decade, strains: times.zip(strains_um.iter().copied()).collect() }
     }
 
     /// The strains, um of elastic motion, after the chain was at a position for ever.
     pub fn settled_um(um: f64) -> Vec<f64> {
-        tuning::log_creep(1.0).map(|_| um).collect()
+        tuning::log_creep(1.0, 0.0).map(|_| um).collect()
     }
 
     /// The strains, um of elastic motion.

@@ -65,7 +65,9 @@ pub(crate) fn causes_of(
             high - low <= 0.1 * high.abs().max(low.abs())
         });
         for (k, p) in info.parameters.iter().enumerate() {
-            if whole.fit.knobs[at + k].is_frozen() {
+            // A part of the effect may be there on some axes only.
+            let is_frozen = |q: usize| whole.fit.knobs[at + q * width + k].is_frozen();
+            if (0..term.places.len()).all(is_frozen) {
                 continue;
             }
             if agree {
@@ -75,7 +77,7 @@ pub(crate) fn causes_of(
                     (0..term.places.len()).map(|q| deviations[at + q * width + k]).sum::<f64>() / n;
                 parameters.insert(p.name.to_string(), parameter(value, sd, p.unit));
             } else {
-                for (q, place) in term.places.iter().enumerate() {
+                for (q, place) in term.places.iter().enumerate().filter(|(q, _)| !is_frozen(*q)) {
                     let name = match *place {
                         host_sim::effects::Place::Axis(a) => format!("{}_{}", p.name, a + 1),
                         host_sim::effects::Place::Pair { on, from } => {

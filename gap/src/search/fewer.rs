@@ -39,6 +39,9 @@ impl Search<'_> {
             self.noise + (left / (1.0 - WORTH_OF_LEFTOVER)).max(left + WORTH_OF_GAP * self.gap);
         for rival in rivals {
             for t in 0..size {
+                if self.is_spent() {
+                    break;
+                }
                 let name = rival.terms[t].name();
                 let effort =
                     Effort { iterations: 8, tolerance: 2.0e-2, hopeless: open, ..self.effort() };

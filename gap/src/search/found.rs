@@ -168,7 +168,8 @@ fn by_axis(
         .filter(|&a| gaps[a].counts && by_axis[a].is_some_and(|c| !accept::names(c)))
         .filter(|&a| !alone(a) && !search.knows_nothing_of(a))
         .collect();
-    if open.is_empty() || gaps.iter().filter(|g| g.counts).count() < 2 {
+    let is_alone = gaps.iter().filter(|g| g.counts).count() < 2;
+    if open.is_empty() || is_alone || search.is_spent() {
         return Ok(model);
     }
     // What the whole search found keeps the axes that it closes.

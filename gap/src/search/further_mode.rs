@@ -73,8 +73,10 @@ impl Search<'_> {
         }
         let mut start: Vec<f64> = others.into_iter().flat_map(|(_, values)| values).collect();
         start.extend(starts.concat());
+        let line = self.noise + MUCH_LESS * left;
+        let effort = Effort { hopeless: line, ..effort };
         let other = self.fit_model(model.terms.clone(), start, effort)?;
-        let is_there = other.fit.cost - self.noise < MUCH_LESS * left;
+        let is_there = other.fit.cost < line;
         Ok(if is_there { other } else { model })
     }
 }

@@ -10,7 +10,7 @@ use host_sim::rig::Rig;
 
 use crate::Error;
 use crate::fitting::fit::{from_step, rig_with, to_step};
-use crate::fitting::knobs::{EffectRef, Knob};
+use crate::fitting::knobs::{EffectRef, Knob, keep_laws};
 use crate::fitting::model::{Term, knobs_of};
 use crate::search::screen::Gain;
 use crate::search::select::Search;
@@ -35,7 +35,9 @@ impl Search<'_> {
             return Ok(whole);
         }
         let mut room = values.clone();
-        for (k, knob) in knobs_of(&terms, &self.ranges).iter().enumerate() {
+        let mut knobs = knobs_of(&terms, &self.ranges);
+        keep_laws(&mut knobs, &values);
+        for (k, knob) in knobs.iter().enumerate() {
             let shift: f64 = gains.iter().filter_map(|g| g.shift.get(k)).sum();
             if shift != 0.0 && !knob.is_frozen() {
                 room[k] = from_step(knob, to_step(knob, values[k]) + shift);

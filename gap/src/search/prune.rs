@@ -20,28 +20,45 @@ const MOST_OF_AXIS: f64 = 0.5;
 /// ... and this share of what is left on its axis. Less is what the form of another effect there leaves.
 const WORTH_OF_LEFT: f64 = 0.1;
 
+/// What a place of an effect is worth.
+#[derive(Clone, Copy)]
+struct Worth {
+    /// Rise of the cost without it.
+    cost: f64,
+    /// Whether that would count as a gap.
+    counts: bool,
+}
+
 impl Search<'_> {
     /// Take out terms and places that the model does not need, and fit the rest again.
     pub fn prune(&self, model: Model) -> Result<Model, Error> {
         let mut model = model;
         loop {
-            let (worth, counts) = self.worth(&model)?;
+            let worth = self.worth(&model)?;
             let noticed = self.noticed(&model)?;
             let mut kept_terms = Vec::new();
             let mut start = Vec::new();
             let mut dropped = false;
+            // Two that do not count apart may count together: one of them goes first, and the other one is asked again.
+            let mut asked: u32 = 0;
             for (t, term) in model.terms.iter().enumerate() {
-                let total: f64 = worth[t].iter().sum();
-                let top = worth[t].iter().copied().fold(0.0, f64::max);
+                let total: f64 = worth[t].iter().map(|place| place.cost).sum();
+                let top = worth[t].iter().map(|place| place.cost).fold(0.0, f64::max);
                 let mut places = Vec::new();
                 for (p, &place) in term.places.iter().enumerate() {
                     let left =
                         if term.places.len() > 1 { self.left_at(&model, t, place) } else { 0.0 };
                     let of_top = (WORTH_OF_TOP * top).min(MOST_OF_AXIS * self.gap_at(term, place));
-                    let needed = worth[t][p] > WORTH_OF_PLACE.max(of_top).max(WORTH_OF_LEFT * left);
+                    let needed =
+                        worth[t][p].cost > WORTH_OF_PLACE.max(of_top).max(WORTH_OF_LEFT * left);
                     let term_needed =
                         noticed[t] && total > WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap);
-                    if needed && term_needed && counts[t][p] {
+                    let axes = axes_seen(self.nominal, term.effect, place);
+                    let counts = worth[t][p].counts || asked & axes != 0;
+                    if !counts {
+                        asked |= axes;
+                    }
+                    if needed && term_needed && counts {
                         places.push(place);
                         start.extend_from_slice(model.values(t, p));
                     } else {
@@ -89,12 +106,10 @@ impl Search<'_> {
 
     /// Rise of the cost when each place of each term is taken out, the rest left as it is, and whether it would count as a gap beside
     /// other terms: what the form of one of them leaves on an axis is no cause there.
-    fn worth(&self, model: &Model) -> Result<(Vec<Vec<f64>>, Vec<Vec<bool>>), Error> {
+    fn worth(&self, model: &Model) -> Result<Vec<Vec<Worth>>, Error> {
         let mut worth = Vec::new();
-        let mut counts = Vec::new();
         for (t, term) in model.terms.iter().enumerate() {
-            let mut row = vec![0.0; term.places.len()];
-            let mut marks = vec![true; term.places.len()];
+            let mut row = vec![Worth { cost: 0.0, counts: true }; term.places.len()];
             // Places that reach different channels share a simulation.
             let mut groups: Vec<(Vec<usize>, u32)> = Vec::new();
             for (p, &place) in term.places.iter().enumerate() {
@@ -114,21 +129,20 @@ impl Search<'_> {
                 let stack = self.scene.residuals_at(&rig, wanted, self.include)?;
                 for &p in &members {
                     let mask = axes_seen(self.nominal, term.effect, term.places[p]);
-                    marks[p] = model.terms.len() < 2
+                    row[p].counts = model.terms.len() < 2
                         || accept::counts(self.scene, &stack, &model.fit.stack, mask);
                     for (c, channel) in self.scene.channels.iter().enumerate() {
                         if mask >> channel.axis & 1 == 0 {
                             continue;
                         }
                         if let (Some(out), Some(with)) = (&stack[c], &model.fit.stack[c]) {
-                            row[p] += dot(out, out) - dot(with, with);
+                            row[p].cost += dot(out, out) - dot(with, with);
                         }
                     }
                 }
             }
             worth.push(row);
-            counts.push(marks);
         }
-        Ok((worth, counts))
+        Ok(worth)
     }
 }

@@ -133,6 +133,11 @@ impl<'a> Search<'a> {
         })
     }
 
+    /// Whether this diagnosis has simulated as much as it may: what was found so far has to do.
+    pub(crate) fn is_spent(&self) -> bool {
+        self.scene.work.is_spent()
+    }
+
     /// Find the model. `None` when no single effect is worth anything.
     pub fn run(&mut self) -> Result<Option<Model>, Error> {
         let nominal_gains = self.screen.test(self.scene, &self.base, None);
@@ -141,7 +146,8 @@ impl<'a> Search<'a> {
             // A screen is a straight line, and some effects are not. Where none that it promised accounts for most of the gap, all others
             // get a chance.
             let is_closed = |best: &Model| best.fit.cost - self.noise <= MOSTLY_OPEN * self.gap;
-            if nth >= self.breadth.shortlist && self.tried.first().is_some_and(is_closed) {
+            let is_enough = self.tried.first().is_some_and(is_closed) || self.is_spent();
+            if nth >= self.breadth.shortlist && is_enough {
                 break;
             }
             let model = self.fit_terms((&[], &self.base), effect, &gains)?;
@@ -196,7 +202,7 @@ impl<'a> Search<'a> {
             }
             // What suits different axes may account for everything already.
             let is_done = |m: Model| accept::is_clean(self.scene, &m.fit.stack);
-            if self.best_of(size + 1).is_some_and(is_done) {
+            if self.best_of(size + 1).is_some_and(is_done) || self.is_spent() {
                 continue;
             }
             self.widen(size)?;

@@ -2,7 +2,7 @@
 
 use crate::Error;
 use crate::fitting::fit::{Sensitivities, cost};
-use crate::fitting::knobs::{EffectRef, is_plain};
+use crate::fitting::knobs::{EffectRef, is_plain, keep_laws};
 use crate::fitting::model::{Model, Term, knobs_of, start_terms};
 use crate::judge::ambiguity::NOISE_MARGIN;
 use crate::search::select::Search;
@@ -22,19 +22,19 @@ impl Search<'_> {
         }
         let names = model.key();
         for t in 0..size {
+            if self.is_spent() {
+                break;
+            }
             let mut others = start_terms(&model);
             others.remove(t);
             let (terms, values): (Vec<Term>, Vec<Vec<f64>>) = others.iter().cloned().unzip();
             let rig = model.without(self.nominal, t, |_| true)?;
             let stack = self.scene.residuals_at(&rig, Wanted::ALL, self.include)?;
-            let sensitivities = Sensitivities::at(
-                self.scene,
-                self.nominal,
-                &knobs_of(&terms, &self.ranges),
-                &values.concat(),
-                &stack,
-                self.include,
-            )?;
+            let values = values.concat();
+            let mut knobs = knobs_of(&terms, &self.ranges);
+            keep_laws(&mut knobs, &values);
+            let sensitivities =
+                Sensitivities::at(self.scene, self.nominal, &knobs, &values, &stack, self.include)?;
             let gains = self.screen.test(self.scene, &stack, Some(&sensitivities));
             let needed = cost(&stack) - model.fit.cost;
             let mut offers = self.shortlist(&gains, &names, usize::MAX);
@@ -49,7 +49,7 @@ impl Search<'_> {
             let plain = plain.filter(|(effect, _)| is_plain(*effect));
             offers.extend(plain.take(self.breadth.plain));
             for (effect, gains) in offers {
-                if gains.iter().map(|g| g.gain).sum::<f64>() < PROMISE * needed {
+                if gains.iter().map(|g| g.gain).sum::<f64>() < PROMISE * needed || self.is_spent() {
                     continue;
                 }
                 let mut key: Vec<&str> = terms.iter().map(Term::name).collect();

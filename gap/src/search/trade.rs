@@ -31,7 +31,8 @@ impl Search<'_> {
                 let Some(term) = best.terms.get(t) else { continue };
                 let left = self.scene.cost_on(&best.fit.stack, 1 << axis) - noise;
                 let needed = self.worth_of_change(left);
-                if term.places.len() < 2 || !term.places.contains(&place) || left < CLOSED * gap {
+                let is_open = left >= CLOSED * gap && !self.is_spent();
+                if term.places.len() < 2 || !term.places.contains(&place) || !is_open {
                     continue;
                 }
                 let shares = term.places.iter().map(|p| self.share_left(&best, p.on()));

@@ -68,6 +68,9 @@ impl Search<'_> {
                     .unwrap_or_else(|| model.values(0, nth).to_vec())
             };
             let start: Vec<Vec<f64>> = term.places.iter().enumerate().map(start).collect();
+            // One that stays behind the best of them is not fitted to the end.
+            let hopeless = best.as_ref().unwrap_or(&model).fit.cost;
+            let effort = Effort { hopeless, ..effort };
             let other = self.fit_model(model.terms.clone(), start.concat(), effort)?;
             if other.fit.cost < best.as_ref().unwrap_or(&model).fit.cost {
                 best = Some(other);
@@ -103,6 +106,7 @@ impl Search<'_> {
         if values == model.fit.values {
             return Ok(model);
         }
+        let effort = Effort { hopeless: model.fit.cost, ..effort };
         let other = self.fit_model(model.terms.clone(), values, effort)?;
         Ok(if other.fit.cost < model.fit.cost { other } else { model })
     }

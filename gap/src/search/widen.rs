@@ -72,6 +72,9 @@ impl Search<'_> {
                 partners = self.likeliest(&start);
             }
             for (effect, gains) in partners {
+                if self.is_spent() {
+                    return Ok(());
+                }
                 let mut key = start.key();
                 key.push(effect.info().name);
                 key.sort_unstable();

@@ -83,9 +83,8 @@ pub fn tracks(rig: &Rig, session: &Session) -> Result<(Vec<Track>, Vec<String>),
                 "{}: nothing to score after settle_s = {} s; passed over.",
                 entry.file, entry.recording.meta.settle_s
             ));
-            if !entry.recording.is_empty() {
-                unscored.push(track(rig, &entry.file, &entry.recording)?);
-            }
+            // One that cannot be laid on its clock tells nothing of the past either.
+            unscored.extend(track(rig, &entry.file, &entry.recording));
             continue;
         }
         let track = track(rig, &entry.file, &entry.recording)?;

@@ -9,6 +9,7 @@
 //! | [`pyramid`], `spectra` | residuals by bands; lines and resonances in their spectra |
 //! | [`split`] | which recordings are fitted, and which only score |
 //! | `motions` | simulates, and keeps motions that will be asked for again |
+//! | `work` | how much was simulated, and when that is enough |
 //! | [`scene`] | whitened residuals: all of the above together |
 //! | [`energy`] | size of a gap in nanometres, with intervals |
 
@@ -23,3 +24,4 @@ pub mod pyramid;
 pub mod scene;
 pub(crate) mod spectra;
 pub mod split;
+pub(crate) mod work;

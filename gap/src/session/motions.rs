@@ -94,6 +94,8 @@ impl Scene {
         keep: bool,
     ) -> Result<Output, Error> {
         let needed = motion::needed(rig, axes);
+        let mask = (0..rig.axes.len()).filter(|&a| needed.contains(a)).fold(0, |m, a| m | 1 << a);
+        self.work.count(rig, mask, self.tracks[track].len());
         let runs_on = self.runs_on && !self.tracks[track].past.is_empty();
         let keys: Vec<Option<Key>> = (0..rig.axes.len())
             .map(|axis| {

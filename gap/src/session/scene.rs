@@ -17,6 +17,7 @@ use crate::session::floor::{self, Kind, Noise};
 use crate::session::intake::Track;
 use crate::session::motions::Motions;
 use crate::session::pyramid::{Levels, low_pass, share_kept, transform};
+use crate::session::work::Work;
 
 /// Share of the nominal gap of a band that a correct effect of another form may leave.
 pub const TOLERANCE: f64 = 0.05;
@@ -74,6 +75,8 @@ pub struct Scene {
     pub runs_on: bool,
     /// Motions that may be asked for again.
     pub(crate) motions: Arc<Motions>,
+    /// What was simulated.
+    pub(crate) work: Arc<Work>,
 }
 
 /// What a simulation is wanted for.
@@ -131,6 +134,7 @@ impl Scene {
             monitor_noise,
             runs_on: true,
             motions: Arc::new(Motions::new(samples)),
+            work: Arc::new(Work::new(samples)),
         }
     }
 

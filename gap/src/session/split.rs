@@ -100,8 +100,9 @@ pub fn hold_out_last_third(scene: &mut Scene) {
     cut(scene, |_, length| in_two(2 * length / 3, length));
 }
 
-/// Share of a recording that either part of it has at least.
+/// Share of a recording that is held out at least, and samples.
 const LEAST_PART: f64 = 0.02;
+const FEWEST: usize = 32;
 
 /// Hold out the end of every recording, from where two thirds of what is missing there have gone by: a resonance that a sweep reaches in
 /// its last second is fitted as well as checked. `raw` are residuals over time in units of the noise; without a gap in them the last third
@@ -114,19 +115,21 @@ pub(crate) fn hold_out_last_third_of_gap(scene: &mut Scene, raw: &Stack) {
 
 /// Where two thirds of the energy beyond noise have gone by.
 fn two_thirds(row: &[f32]) -> usize {
-    let beyond = |x: &f32| f64::from(*x).powi(2) - 1.0;
+    // Lost samples are zero.
+    let beyond = |x: &f32| if *x == 0.0 { 0.0 } else { f64::from(*x).powi(2) - 1.0 };
     let whole: f64 = row.iter().map(beyond).sum();
     let length = row.len();
     if whole < HAS_GAP * length as f64 {
         return 2 * length / 3;
     }
-    let least = (LEAST_PART * length as f64) as usize;
+    // What shows the gap at its beginning is fitted for long enough to tell what it is.
+    let least = ((LEAST_PART * length as f64) as usize).max(FEWEST).min(length / 3);
     let mut gone = 0.0;
     let at = row.iter().position(|x| {
         gone += beyond(x);
         gone > 2.0 / 3.0 * whole
     });
-    at.unwrap_or(length).clamp(least, length - least)
+    at.unwrap_or(length).clamp(length / 3, length - least)
 }
 
 /// Two parts of so many samples, the second one held out.
@@ -158,14 +161,14 @@ mod tests {
     #[test]
     fn a_gap_at_the_very_end_is_in_both_parts() {
         // A thousand samples of unit noise, and a ringing in the last tenth.
-        let noise = |k: usize| if k % 2 == 0 { 1.0_f32 } else { -1.0 };
+        let noise = |k: usize| if k.is_multiple_of(2) { 1.0_f32 } else { -1.0 };
         let quiet: Vec<f32> = (0..1000).map(noise).collect();
         assert_eq!(two_thirds(&quiet), 666);
         let ringing: Vec<f32> =
             (0..1000).map(|k| noise(k) * if k < 900 { 1.0 } else { 5.0 }).collect();
         // 100 samples of 24 variances beyond the noise: two thirds of that have gone by with the 67th.
         assert_eq!(two_thirds(&ringing), 966);
-        // Where everything happens in the last instant, either part keeps a fiftieth.
+        // Where everything happens in the last instant, a fiftieth is held out.
         let mut click = quiet;
         click[999] = 1.0e3;
         assert_eq!(two_thirds(&click), 980);

@@ -15,7 +15,7 @@ static INFO: Info = Info {
     parameters: &[
         Parameter::size("per_decade", "1", 0.0, (0.0, 0.3), 0.015, "growth of the stroke a decade of time"),
         Parameter::shape("onset_s", "s", (1.0e-4, 10.0), 0.02, "time after a step from which it goes with the logarithm").by_ratio(),
-        Parameter::size("level", "1", 0.0, (-0.9, 2.0), 0.2, "share by which creep is more, for its step, at 100 V than near 0 V"),
+        Parameter::size("level", "1", 0.0, (-0.3, 2.0), 0.2, "share by which a step from 0 V to 100 V creeps more than in proportion to a small one"),
         Parameter::size("tilt", "1", 0.0, (-0.5, 0.5), 0.05, "power of the time that a decade's growth goes with; 0 is the logarithm"),
     ],
     threshold: false,

@@ -73,9 +73,15 @@ impl CreepSim {
         }
     }
 
-    /// Sum of the final shares, 1.
-    pub fn shares(&self) -> f64 {
-        self.shares
+    /// Transducer voltage at which strains that add up to the same would rest; none without strains.
+    pub fn held_v(&self) -> Option<f64> {
+        let driven_v = (self.shares != 0.0).then(|| self.sum_v() / self.shares)?;
+        if self.level_per_v == 0.0 {
+            return Some(driven_v);
+        }
+        // The root of |v| + level v^2 = |driven| that tends to it without a level.
+        let root = (1.0 + 4.0 * self.level_per_v * driven_v.abs()).max(0.0).sqrt();
+        Some(2.0 * driven_v / (1.0 + root))
     }
 
     /// Sum of what a volt at the end of a tick adds there, 1.
@@ -133,6 +139,28 @@ impl CreepSim {
             for lane in 0..LANES {
                 lanes.state_v[lane] = lanes.coming_v[lane] + lanes.from_end[lane] * end_v;
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_state_is_taken_up_where_it_was_left_at_any_level() {
+        let strains =
+            [0.1, 1.0, 10.0].map(|time_constant_s| Kelvin { share: 0.01, time_constant_s });
+        for level_per_v in [0.0, 4.0e-3, -2.0e-3] {
+            let mut sim = CreepSim::new(&strains, level_per_v, 1.0e-2);
+            for _ in 0..300 {
+                sim.begin(60.0);
+                sim.commit(60.0);
+            }
+            let left_v = sim.sum_v();
+            let held_v = sim.held_v().expect("there are strains");
+            sim.settle(held_v, &[]);
+            assert!((sim.sum_v() - left_v).abs() < 1.0e-9, "{} of {left_v} V", sim.sum_v());
         }
     }
 }

@@ -225,11 +225,10 @@ impl AxisSim {
 
     /// The state at this tick, to start from later.
     pub fn state(&self) -> Initial {
-        let (shares, slow) = (self.creep.shares(), self.creep.sum_v());
         Initial {
             amplifier_v: Some(self.amplifier.state_v()),
             memory: Memory::Elements(self.elements.voltages()),
-            held_v: if shares != 0.0 { slow / shares } else { self.transducer_v },
+            held_v: self.creep.held_v().unwrap_or(self.transducer_v),
             past: None,
         }
     }
