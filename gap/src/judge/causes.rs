@@ -125,7 +125,8 @@ pub(crate) fn causes_of(
         let words: Vec<String> = model.terms[t].places.iter().map(|&p| place_words(p)).collect();
         let place =
             if words.len() > 3 { format!("{} places", words.len()) } else { words.join(", ") };
-        stairs.push((format!("{} ({place})", model.terms[t].name()), nm));
+        // On two lines: side by side the names of several causes run into each other.
+        stairs.push((format!("{}\n({place})", model.terms[t].name()), nm));
     }
     Ok((causes, claimed, stairs))
 }

@@ -126,12 +126,11 @@ impl BarPlot {
                 .map_err(text)?;
             // Names below the axis, drawn on the sheet because the axis has no categories.
             let foot = chart.backend_coord(&(left + 0.5, low));
-            area.draw(&Text::new(
-                bar.name.clone(),
-                (foot.0, foot.1 + 8),
-                font(13).pos(text_anchor(false)),
-            ))
-            .map_err(text)?;
+            for (line, words) in bar.name.lines().enumerate() {
+                let below = foot.1 + 8 + 16 * line as i32;
+                let style = font(13).pos(text_anchor(false));
+                area.draw(&Text::new(words.to_owned(), (foot.0, below), style)).map_err(text)?;
+            }
         }
         Ok(())
     }
