@@ -94,8 +94,6 @@ impl Scene {
         keep: bool,
     ) -> Result<Output, Error> {
         let needed = motion::needed(rig, axes);
-        let mask = (0..rig.axes.len()).filter(|&a| needed.contains(a)).fold(0, |m, a| m | 1 << a);
-        self.work.count(rig, mask, self.tracks[track].len());
         let runs_on = self.runs_on && !self.tracks[track].past.is_empty();
         let keys: Vec<Option<Key>> = (0..rig.axes.len())
             .map(|axis| {
@@ -108,6 +106,7 @@ impl Scene {
         let missing = (0..keys.len())
             .filter(|&axis| keys[axis].is_some() && known[axis].is_none())
             .fold(0, |mask, axis| mask | 1 << axis);
+        self.work.count(rig, missing, self.tracks[track].len());
         self.with_input(track, &[], |input| {
             if missing != 0 {
                 let moved = move_axes(rig, input, Axes::Only(missing))?;

@@ -8,9 +8,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use host_sim::rig::Rig;
 
-/// Passes over the session, every axis without effects, that a search may spend before it settles for the best that it has: 14 to 22 s on two
-/// cores of 2026 for half a minute of three axes at 10 kHz. Three sessions in a hundred come that far.
-const MOST_PASSES: u64 = 1400;
+/// Passes over the session, every axis without effects, that a search may spend before it settles for the best that it has: 20 to 30 s on two
+/// cores of 2026 for half a minute of three axes at 10 kHz. One or two sessions in a hundred come that far.
+const MOST_PASSES: u64 = 2000;
 /// What a tick takes with an effect there, in tenths of one without, beyond it.
 const HEAVY: [(&str, u64); 10] = [
     ("friction", 25),
@@ -80,7 +80,7 @@ mod tests {
         work.count(&rig, 0b011, 2000);
         assert_eq!(work.passes(), 1 + 3);
         assert!(!work.is_spent());
-        work.count(&rig, 0b100, 3000 * 1400);
+        work.count(&rig, 0b100, 3000 * 2000);
         assert!(work.is_spent());
     }
 }
