@@ -4,7 +4,7 @@ use crate::Error;
 use crate::fitting::fit::Sensitivities;
 use crate::fitting::knobs::EffectRef;
 use crate::fitting::model::{Model, Term, start_terms};
-use crate::judge::accept::{self, has_many_laws};
+use crate::judge::accept::has_many_laws;
 use crate::search::screen::Gain;
 use crate::search::select::Search;
 
@@ -20,9 +20,6 @@ const LEFT_OPEN: f64 = 0.02;
 const LIKELIEST: usize = 2;
 /// Share of the gap that such a partner leaves by itself at most.
 const OF_USE: f64 = 0.8;
-
-/// Multiple of what the best model of its size leaves that one has to leave not to be tried beside others once a gap is closed.
-const FAR: f64 = 2.0;
 
 impl Search<'_> {
     /// Fit the best models of `size` effects together with their most promising partners.
@@ -44,15 +41,6 @@ impl Search<'_> {
         let best = starts.first().map_or(0.0, |b| b.fit.cost);
         let wanted = best - self.worth_of_further(best - self.noise);
         for start in starts {
-            // Where a partner leaves no gap at all, what else it could be is asked in the place of each of the two (`swap`).
-            let is_far = start.fit.cost - self.noise > FAR * (best - self.noise);
-            if is_far
-                && self
-                    .best_of(size + 1)
-                    .is_some_and(|m| accept::is_clean(self.scene, &m.fit.stack))
-            {
-                break;
-            }
             let f = &start.fit;
             let sensitivities = Sensitivities::at(
                 self.scene,
