@@ -348,7 +348,7 @@ fn leftover(page: Report, f: &Findings) -> Report {
         energy_of(f.after) / energy_of(f.before).max(1.0e-30)
     ));
     if share > 0.5 {
-        let band = HeatMap::new("Share of what is left by axis and band")
+        let band = HeatMap::new("Share of what is left (%) by axis and band (Hz)")
             .columns(columns)
             .rows(axis_names(f))
             .values(rows)
