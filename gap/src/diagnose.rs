@@ -118,11 +118,10 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
         (looked, judged) = looks.run(looked, &excess, by_blocks, &bar)?;
     }
     notes.append(&mut judged.notes);
-    if looked.scene.work.is_spent() {
+    if let Some(passes) = looked.scene.work.ended_after() {
         notes.push(format!(
-            "The search ended before everything was tried, after what amounts to {} simulations of the session: what is named is the best until \
-             then. Fewer or shorter recordings of what shows the gap leave it more time for each.",
-            looked.scene.work.passes()
+            "The search ended before everything was tried, after what amounts to {passes} simulations of the session: what is named is the best \
+             until then."
         ));
     }
     let Judged { mut found, masked, was_found, .. } = judged;

@@ -2,7 +2,8 @@
 //!
 //! What is found in the recordings that are fitted is checked on those that are held out. Some of these may hold a gap that the others
 //! do not show: then they are fitted and others held out, and the look stands that closes more of the session. A second look
-//! takes as long as the first one, and is not taken where something outside the catalogue accounts for what the first one came to on every axis with a gap.
+//! takes as long as the first one, and is not taken where something outside the catalogue accounts for what the first one came to on
+//! every axis with a gap.
 
 use host_sim::rig::Rig;
 use indicatif::ProgressBar;
@@ -84,9 +85,9 @@ impl Looks<'_> {
             (0..gaps.len()).all(|axis| !gaps[axis].counts || masked.axes.contains(&axis))
         };
         let is_strange = judged.masked.as_ref().is_some_and(accounts_for_all);
-        let may_look = first.scene.tracks.len() >= 3 && !by_blocks && !first.scene.work.is_spent();
-        let looks_again = !missed.is_empty() && may_look;
-        if is_strange || !looks_again || !self.fits(&first, excess)? {
+        let looks_again = !missed.is_empty() && first.scene.tracks.len() >= 3 && !by_blocks;
+        if is_strange || !looks_again || !self.fits(&first, excess)? || first.scene.work.is_spent()
+        {
             return Ok((first, judged));
         }
         bar.set_message("looking again with other recordings");

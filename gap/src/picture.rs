@@ -351,8 +351,7 @@ fn leftover(page: Report, f: &Findings) -> Report {
         let band = HeatMap::new("Share of what is left (%) by axis and band (Hz)")
             .columns(columns)
             .rows(axis_names(f))
-            .values(rows)
-            .unit("%");
+            .values(rows);
         page = page.figure(&band, "Where the remainder lies.");
     }
     if let Some(rest) = &f.diagnosis.rest {

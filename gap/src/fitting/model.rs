@@ -6,7 +6,7 @@ use host_sim::rig::Rig;
 use crate::Error;
 use crate::fitting::fit::Fit;
 use crate::fitting::guess::Ranges;
-use crate::fitting::knobs::{EffectRef, Knob, is_plain, knobs_at};
+use crate::fitting::knobs::{EffectRef, Knob, is_plain, keep_laws, knobs_at};
 
 /// One effect and the places where it acts.
 #[derive(Clone)]
@@ -161,4 +161,11 @@ pub fn knobs_of(terms: &[Term], ranges: &Ranges) -> Vec<Knob> {
         t.places.iter().flat_map(|&p| knobs_at(t.effect, p, ranges)).collect()
     };
     terms.iter().flat_map(of_term).collect()
+}
+
+/// The same where their values are known: laws and parts that do nothing there are frozen, as in a fit that starts from them.
+pub(crate) fn knobs_from(terms: &[Term], values: &[f64], ranges: &Ranges) -> Vec<Knob> {
+    let mut knobs = knobs_of(terms, ranges);
+    keep_laws(&mut knobs, values);
+    knobs
 }

@@ -6,8 +6,8 @@
 
 use crate::Error;
 use crate::fitting::fit::{Effort, fit};
-use crate::fitting::knobs::{Knob, keep_laws};
-use crate::fitting::model::{Term, knobs_of};
+use crate::fitting::knobs::Knob;
+use crate::fitting::model::{Term, knobs_from};
 use crate::search::select::Search;
 use crate::session::scene::{Channel, Scene, Stack, dot};
 
@@ -120,8 +120,7 @@ impl Search<'_> {
         effort: Effort,
         line: Line,
     ) -> Result<Option<Vec<f64>>, Error> {
-        let mut knobs = knobs_of(terms, &self.ranges);
-        keep_laws(&mut knobs, start);
+        let knobs = knobs_from(terms, start, &self.ranges);
         let few = match &self.few {
             Some(few) if self.most_numbers(&knobs) >= MANY_NUMBERS => few,
             _ => return Ok(None),

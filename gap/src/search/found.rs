@@ -11,8 +11,8 @@ use crate::Error;
 use crate::diagnosis::{AxisGap, Band};
 use crate::fitting::fit::{Effort, cost};
 use crate::fitting::guess::Ranges;
-use crate::fitting::knobs::{EffectRef, axes_seen, keep_laws};
-use crate::fitting::model::{Model, Term, join_terms, knobs_of, start_terms};
+use crate::fitting::knobs::{EffectRef, axes_seen};
+use crate::fitting::model::{Model, Term, join_terms, knobs_from, knobs_of, start_terms};
 use crate::judge::accept::{self, AxisGapSize};
 use crate::judge::ambiguity::{self, Standings};
 use crate::judge::monitors::{self, Missing};
@@ -380,8 +380,7 @@ pub(crate) fn keep(
     for model in [&mut found.model, &mut found.whole] {
         let (terms, values): (Vec<Term>, Vec<Vec<f64>>) = model.part(&keep).into_iter().unzip();
         let values = values.concat();
-        let mut knobs = knobs_of(&terms, &model.ranges);
-        keep_laws(&mut knobs, &values);
+        let knobs = knobs_from(&terms, &values, &model.ranges);
         model.fit.rig = crate::fitting::fit::rig_with(rig, &knobs, &values)?;
         model.fit.at_bound = vec![false; knobs.len()];
         model.fit.normal = nalgebra::DMatrix::identity(knobs.len(), knobs.len());

@@ -10,8 +10,8 @@ use host_sim::rig::Rig;
 
 use crate::Error;
 use crate::fitting::fit::{from_step, rig_with, to_step};
-use crate::fitting::knobs::{EffectRef, Knob, keep_laws};
-use crate::fitting::model::{Term, knobs_of};
+use crate::fitting::knobs::{EffectRef, Knob};
+use crate::fitting::model::{Term, knobs_from, knobs_of};
 use crate::search::screen::Gain;
 use crate::search::select::Search;
 use crate::session::scene::{Channel, Stack, Wanted};
@@ -35,8 +35,7 @@ impl Search<'_> {
             return Ok(whole);
         }
         let mut room = values.clone();
-        let mut knobs = knobs_of(&terms, &self.ranges);
-        keep_laws(&mut knobs, &values);
+        let knobs = knobs_from(&terms, &values, &self.ranges);
         for (k, knob) in knobs.iter().enumerate() {
             let shift: f64 = gains.iter().filter_map(|g| g.shift.get(k)).sum();
             if shift != 0.0 && !knob.is_frozen() {

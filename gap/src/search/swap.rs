@@ -2,8 +2,8 @@
 
 use crate::Error;
 use crate::fitting::fit::{Sensitivities, cost};
-use crate::fitting::knobs::{EffectRef, is_plain, keep_laws};
-use crate::fitting::model::{Model, Term, knobs_of, start_terms};
+use crate::fitting::knobs::{EffectRef, is_plain};
+use crate::fitting::model::{Model, Term, knobs_from, start_terms};
 use crate::judge::ambiguity::NOISE_MARGIN;
 use crate::search::select::Search;
 use crate::search::widen::PROMISE;
@@ -31,8 +31,7 @@ impl Search<'_> {
             let rig = model.without(self.nominal, t, |_| true)?;
             let stack = self.scene.residuals_at(&rig, Wanted::ALL, self.include)?;
             let values = values.concat();
-            let mut knobs = knobs_of(&terms, &self.ranges);
-            keep_laws(&mut knobs, &values);
+            let knobs = knobs_from(&terms, &values, &self.ranges);
             let sensitivities =
                 Sensitivities::at(self.scene, self.nominal, &knobs, &values, &stack, self.include)?;
             let gains = self.screen.test(self.scene, &stack, Some(&sensitivities));

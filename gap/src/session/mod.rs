@@ -10,9 +10,11 @@
 //! | [`split`] | which recordings are fitted, and which only score |
 //! | `motions` | simulates, and keeps motions that will be asked for again |
 //! | `work` | how much was simulated, and when that is enough |
+//! | `channel` | one measured quantity of one axis in one recording |
 //! | [`scene`] | whitened residuals: all of the above together |
 //! | [`energy`] | size of a gap in nanometres, with intervals |
 
+mod channel;
 pub mod energy;
 pub mod floor;
 pub mod intake;

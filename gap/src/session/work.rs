@@ -4,7 +4,7 @@
 //! spent is counted in ticks of an axis without effects, by what simulations take of it
 //! (`cargo run --release -p host-sim --example effect_speed`).
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use host_sim::rig::Rig;
 
@@ -34,12 +34,18 @@ pub(crate) struct Work {
     spent: AtomicU64,
     /// Samples of all recordings on all axes.
     session: u64,
+    /// Whether something was left out because of it.
+    ended: AtomicBool,
 }
 
 impl Work {
     /// For a session of so many samples of all axes together.
     pub(crate) fn new(samples: usize) -> Self {
-        Self { spent: AtomicU64::new(0), session: samples.max(1) as u64 }
+        Self {
+            spent: AtomicU64::new(0),
+            session: samples.max(1) as u64,
+            ended: AtomicBool::new(false),
+        }
     }
 
     /// Count a simulation of the axes in a mask over so many ticks.
@@ -53,13 +59,22 @@ impl Work {
         self.spent.fetch_add((plain + more) * ticks as u64, Ordering::Relaxed);
     }
 
-    /// Whether a search has spent what it may.
+    /// Whether a search has spent what it may, asked where more could be tried.
     pub(crate) fn is_spent(&self) -> bool {
-        self.passes() > MOST_PASSES
+        let is_spent = self.passes() > MOST_PASSES;
+        if is_spent {
+            self.ended.store(true, Ordering::Relaxed);
+        }
+        is_spent
+    }
+
+    /// Passes that were spent, if something was not tried because of them.
+    pub(crate) fn ended_after(&self) -> Option<u64> {
+        self.ended.load(Ordering::Relaxed).then(|| self.passes())
     }
 
     /// Passes over the session that were spent.
-    pub(crate) fn passes(&self) -> u64 {
+    fn passes(&self) -> u64 {
         self.spent.load(Ordering::Relaxed) / (PLAIN * self.session)
     }
 }
@@ -81,6 +96,9 @@ mod tests {
         assert_eq!(work.passes(), 1 + 3);
         assert!(!work.is_spent());
         work.count(&rig, 0b100, 3000 * 2000);
+        // Nobody wanted more yet.
+        assert_eq!(work.ended_after(), None);
         assert!(work.is_spent());
+        assert_eq!(work.ended_after(), Some(2004));
     }
 }

@@ -94,15 +94,10 @@ impl CreepSim {
         self.strains.iter().flat_map(|lanes| lanes.state_v).sum()
     }
 
-    /// What goes with the square of a voltage, V.
-    #[inline]
-    fn squared(&self, voltage_v: f64) -> f64 {
-        self.level_per_v * voltage_v * voltage_v.abs()
-    }
-
     /// Settle at a transducer voltage held for ever, then live through a past, the oldest stretch first.
     pub fn settle(&mut self, held_v: f64, past: &[Stretch]) {
-        let drives_v = |voltage_v: f64| voltage_v + self.level_per_v * voltage_v * voltage_v.abs();
+        let level_per_v = self.level_per_v;
+        let drives_v = |voltage_v: f64| voltage_v + squared(level_per_v, voltage_v);
         for lanes in &mut self.strains {
             lanes.state_v = std::array::from_fn(|lane| {
                 let strain_v = past.iter().fold(drives_v(held_v), |before_v, stretch| {
@@ -118,7 +113,7 @@ impl CreepSim {
     #[inline]
     pub fn begin(&mut self, start_v: f64) -> (f64, f64) {
         let mut sum = [0.0; LANES];
-        self.squared_v = self.squared(start_v);
+        self.squared_v = squared(self.level_per_v, start_v);
         let (start_v, held_v) = (start_v + self.squared_v, self.squared_v);
         for lanes in &mut self.strains {
             for (lane, sum) in sum.iter_mut().enumerate() {
@@ -134,13 +129,19 @@ impl CreepSim {
     /// Accept the tick that began last, at the end of which the transducer voltage is `end_v`.
     #[inline]
     pub fn commit(&mut self, end_v: f64) {
-        let end_v = end_v + (self.squared(end_v) - self.squared_v);
+        let end_v = end_v + (squared(self.level_per_v, end_v) - self.squared_v);
         for lanes in &mut self.strains {
             for lane in 0..LANES {
                 lanes.state_v[lane] = lanes.coming_v[lane] + lanes.from_end[lane] * end_v;
             }
         }
     }
+}
+
+/// What goes with the square of a voltage, V.
+#[inline]
+fn squared(level_per_v: f64, voltage_v: f64) -> f64 {
+    level_per_v * voltage_v * voltage_v.abs()
 }
 
 #[cfg(test)]
