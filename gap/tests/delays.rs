@@ -4,7 +4,7 @@ use gap::diagnosis::Verdict;
 
 mod common;
 
-use common::{causes, drawn};
+use common::{assert_explained, causes, drawn};
 
 #[test]
 fn a_dead_time_that_wanders_is_not_called_one() {
@@ -17,8 +17,7 @@ fn a_dead_time_that_wanders_is_not_called_one() {
 #[test]
 fn a_dead_time_is_one() {
     let diagnosis = drawn(1616, 91, &["drive-delay"]);
-    let named = vec![("drive-delay", &[3][..])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(&diagnosis, &[("drive-delay", &[3][..])]);
 }
 
 #[test]

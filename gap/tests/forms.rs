@@ -4,28 +4,25 @@ use gap::diagnosis::Verdict;
 
 mod common;
 
-use common::{causes, drawn, drawn_in_a_further_form, drawn_of_the_paper};
+use common::{assert_explained, causes, drawn, drawn_in_a_further_form, drawn_of_the_paper};
 
 #[test]
 fn an_amplifier_with_a_second_pole_is_a_slow_amplifier() {
     let diagnosis = drawn_of_the_paper(2020, 8, &["amplifier-bandwidth"]);
-    let named = vec![("amplifier-bandwidth", &[1, 2, 3][..])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(&diagnosis, &[("amplifier-bandwidth", &[1, 2, 3][..])]);
     assert!(diagnosis.gap.closed > 0.995, "{}", diagnosis.gap.closed);
 }
 
 #[test]
 fn a_gauge_whose_line_ends_beyond_the_travel_is_bent() {
     let diagnosis = drawn_of_the_paper(2020, 1, &["sensor-nonlinearity"]);
-    let named = vec![("sensor-nonlinearity", &[1, 2, 3][..])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(&diagnosis, &[("sensor-nonlinearity", &[1, 2, 3][..])]);
 }
 
 #[test]
 fn a_stack_of_another_polarisation_has_another_gain() {
     let diagnosis = drawn_of_the_paper(2020, 103, &["piezo-gain"]);
-    let named = vec![("piezo-gain", &[1, 2, 3][..])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(&diagnosis, &[("piezo-gain", &[1, 2, 3][..])]);
     let polarisation = diagnosis.causes[0].parameters["polarisation"].value;
     assert!(polarisation > 0.9, "the capacitance goes along: {polarisation}");
 }
@@ -47,8 +44,7 @@ fn a_current_limit_with_a_knee_is_a_current_limit() {
 fn a_current_limit_far_below_one_fast_edge_is_found() {
     // Fast edges in one recording ask for fifty times the current that the limit lets through; all else hardly sees it.
     let diagnosis = drawn(6060, 24, &["amplifier-current-limit"]);
-    let named = vec![("amplifier-current-limit", &[1][..])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(&diagnosis, &[("amplifier-current-limit", &[1][..])]);
     assert!(diagnosis.gap.closed > 0.95, "{}", diagnosis.gap.closed);
 }
 
@@ -65,8 +61,7 @@ fn creep_that_bends_with_the_logarithm_of_time_is_no_relaxation() {
 fn a_gauge_that_drifts_to_and_fro_drifts() {
     // It comes and goes once in the session's 150 s.
     let diagnosis = drawn(15151, 53, &["sensor-drift"]);
-    let named = vec![("sensor-drift", &[1, 2, 3][..])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(&diagnosis, &[("sensor-drift", &[1, 2, 3][..])]);
     assert!(diagnosis.gap.closed > 0.995, "{}", diagnosis.gap.closed);
     let cycle_s = diagnosis.causes[0].parameters["cycle_s_1"].value;
     assert!((140.0..160.0).contains(&cycle_s), "{cycle_s}");
@@ -82,8 +77,7 @@ fn a_gauge_that_warms_up_is_no_wrong_gain() {
 #[test]
 fn a_loop_of_another_law_is_no_friction() {
     let diagnosis = drawn(2222, 83, &["hysteresis-shape"]);
-    let named = vec![("hysteresis-shape", &[3][..])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(&diagnosis, &[("hysteresis-shape", &[3][..])]);
 }
 
 #[test]
@@ -99,8 +93,7 @@ fn a_loop_of_another_law_is_seen_beside_what_is_as_loud() {
 #[test]
 fn a_loop_on_one_axis_does_not_take_in_a_gain_on_all() {
     let diagnosis = drawn(2222, 96, &["hysteresis-shape", "piezo-gain"]);
-    let named = vec![("piezo-gain", &[1, 2, 3][..]), ("hysteresis-shape", &[3][..])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(&diagnosis, &[("piezo-gain", &[1, 2, 3][..]), ("hysteresis-shape", &[3][..])]);
 }
 
 #[test]
@@ -115,15 +108,13 @@ const LOSSES: [&str; 3] = ["hysteresis-rate", "friction", "viscoelasticity"];
 #[test]
 fn friction_that_falls_at_creeping_speeds_is_friction() {
     let diagnosis = drawn_in_a_further_form(3201, 11, "friction", &LOSSES);
-    let named = vec![("friction", &[3][..])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(&diagnosis, &[("friction", &[3][..])]);
 }
 
 #[test]
 fn relaxation_in_every_decade_is_viscoelasticity() {
     let diagnosis = drawn_in_a_further_form(3201, 4, "viscoelasticity", &LOSSES);
-    let named = vec![("viscoelasticity", &[2][..])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(&diagnosis, &[("viscoelasticity", &[2][..])]);
 }
 
 #[test]

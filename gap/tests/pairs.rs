@@ -4,37 +4,36 @@ use gap::diagnosis::Verdict;
 
 mod common;
 
-use common::{causes, drawn};
+use common::{assert_explained, causes, drawn};
 
 #[test]
 fn a_slow_gauge_is_found_beside_a_gain() {
     // The gauge is slower than the drive's amplifier, which 50 us of its lag say little about.
     let diagnosis = drawn(2626, 43, &["sensor-bandwidth", "drive-gain"]);
-    let named = vec![("sensor-bandwidth", &[3][..]), ("drive-gain", &[3])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(&diagnosis, &[("sensor-bandwidth", &[3][..]), ("drive-gain", &[3])]);
 }
 
 #[test]
 fn a_clip_near_the_end_of_the_range_is_found_beside_a_delay() {
     let diagnosis = drawn(2626, 35, &["amplifier-clipping", "drive-delay"]);
-    let named = vec![("amplifier-clipping", &[1, 2, 3][..]), ("drive-delay", &[3])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(&diagnosis, &[("amplifier-clipping", &[1, 2, 3][..]), ("drive-delay", &[3])]);
 }
 
 #[test]
 fn two_right_effects_are_preferred_to_three() {
     // Stacks of another gain with other loops, and crosstalk, do as well.
     let diagnosis = drawn(2626, 38, &["sensor-gain", "sensor-crosstalk"]);
-    let named = vec![("sensor-gain", &[1, 2, 3][..]), ("sensor-crosstalk", &[1, 2, 3])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(
+        &diagnosis,
+        &[("sensor-gain", &[1, 2, 3][..]), ("sensor-crosstalk", &[1, 2, 3])],
+    );
 }
 
 #[test]
 fn one_cause_on_all_axes_is_preferred_to_another_on_one_of_them() {
     // A stiffness does as well as a stack of another gain on the axis that is clipped.
     let diagnosis = drawn(14141, 116, &["piezo-gain", "amplifier-clipping"]);
-    let named = vec![("piezo-gain", &[1, 2, 3][..]), ("amplifier-clipping", &[2])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(&diagnosis, &[("piezo-gain", &[1, 2, 3][..]), ("amplifier-clipping", &[2])]);
 }
 
 #[test]
@@ -57,24 +56,21 @@ fn axes_have_causes_of_their_own() {
 #[test]
 fn a_loop_of_another_law_needs_no_friction() {
     let diagnosis = drawn(2828, 77, &["hysteresis-shape"]);
-    let named = vec![("hysteresis-shape", &[2][..])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(&diagnosis, &[("hysteresis-shape", &[2][..])]);
 }
 
 #[test]
 fn a_slow_gauge_is_found_beside_a_slow_amplifier() {
     // Beside either of them a straight line promises nothing of the other.
     let diagnosis = drawn(4040, 24, &["sensor-bandwidth", "amplifier-bandwidth"]);
-    let named = vec![("sensor-bandwidth", &[2][..]), ("amplifier-bandwidth", &[2])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(&diagnosis, &[("sensor-bandwidth", &[2][..]), ("amplifier-bandwidth", &[2])]);
 }
 
 #[test]
 fn two_plain_effects_are_preferred_to_two_that_bend() {
     // Loops of another width and a stiffness do nearly as well, and each of these does better alone than either of the right ones.
     let diagnosis = drawn(4040, 34, &["sensor-offset", "piezo-gain"]);
-    let named = vec![("sensor-offset", &[1, 2, 3][..]), ("piezo-gain", &[1, 2, 3])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(&diagnosis, &[("sensor-offset", &[1, 2, 3][..]), ("piezo-gain", &[1, 2, 3])]);
 }
 
 #[test]
@@ -90,6 +86,5 @@ fn a_loop_of_another_law_beside_a_hum_is_no_bent_gauge() {
 fn what_the_form_of_a_delay_leaves_is_no_gain() {
     // 1.3 nm of noise 4 nm beside a delay of 172 nm on axis 1: a gain of 0.4 % there takes an eighth of it.
     let diagnosis = drawn(17171, 109, &["drive-delay", "drive-gain"]);
-    let named = vec![("drive-delay", &[1, 2, 3][..]), ("drive-gain", &[2, 3])];
-    assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Explained, named));
+    assert_explained(&diagnosis, &[("drive-delay", &[1, 2, 3][..]), ("drive-gain", &[2, 3])]);
 }

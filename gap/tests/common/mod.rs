@@ -1,6 +1,7 @@
 //! Sessions that need no file, and cases of the truth generator.
 #![allow(dead_code, reason = "every test takes what it needs of this module")]
 
+use gap::diagnosis::Verdict;
 use gap::{Diagnosis, Options, diagnose};
 use host_sim::rig::Rig;
 use host_sim::{Axes, Input, simulate};
@@ -144,6 +145,11 @@ fn diagnosed_case(
     let session = Session::read(case.join("session"), None).expect("session");
     let options = Options { exclude: exclude.to_vec(), ..Options::default() };
     diagnose(&rig, &session, &options).expect("a diagnosis").diagnosis
+}
+
+/// The gap is explained by these effects on these axes, in this order, and by nothing else.
+pub fn assert_explained(diagnosis: &Diagnosis, named: &[(&str, &[usize])]) {
+    assert_eq!((diagnosis.verdict, &causes(diagnosis)[..]), (Verdict::Explained, named));
 }
 
 /// Effects and axes that are named.
