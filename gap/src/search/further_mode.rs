@@ -44,11 +44,8 @@ impl Search<'_> {
         let mut seen: Vec<f64> = Vec::new();
         let of_axes = resonances(self.scene, &raw);
         of_axes.into_iter().flatten().for_each(|hz| push_apart(&mut seen, hz));
-        let offers: Vec<Vec<Vec<f64>>> = term
-            .places
-            .iter()
-            .enumerate()
-            .map(|(nth, _)| {
+        let offers: Vec<Vec<Vec<f64>>> = (0..term.places.len())
+            .map(|nth| {
                 let plain = model.values(last, nth).to_vec();
                 let around = |hz: f64| AROUND.0.map(move |k| hz * (1.0 + f64::from(k) * AROUND.1));
                 let hz = seen.iter().flat_map(|&hz| around(hz));

@@ -226,7 +226,7 @@ impl Search<'_> {
     }
 
     /// Cost beyond noise of a stack on the axes in a mask.
-    fn left_on(&self, stack: &Stack, axes: u32) -> f64 {
+    pub(super) fn left_on(&self, stack: &Stack, axes: u32) -> f64 {
         self.scene.cost_on(stack, axes) - self.scene.noise_on(stack, axes)
     }
 

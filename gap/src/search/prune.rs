@@ -46,14 +46,16 @@ impl Search<'_> {
                 let top = worth[t].iter().map(|place| place.cost).fold(0.0, f64::max);
                 let mut places = Vec::new();
                 for (p, &place) in term.places.iter().enumerate() {
+                    let axes = axes_seen(self.nominal, term.effect, place);
+                    let gap = self.left_on(&self.base, axes);
+                    let is_one_of_several = term.places.len() > 1;
                     let left =
-                        if term.places.len() > 1 { self.left_at(&model, t, place) } else { 0.0 };
-                    let of_top = (WORTH_OF_TOP * top).min(MOST_OF_AXIS * self.gap_at(term, place));
+                        if is_one_of_several { self.left_on(&model.fit.stack, axes) } else { 0.0 };
+                    let of_top = (WORTH_OF_TOP * top).min(MOST_OF_AXIS * gap);
                     let needed =
                         worth[t][p].cost > WORTH_OF_PLACE.max(of_top).max(WORTH_OF_LEFT * left);
                     let term_needed =
                         noticed[t] && total > WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap);
-                    let axes = axes_seen(self.nominal, term.effect, place);
                     let counts = worth[t][p].counts || asked & axes != 0;
                     if !counts {
                         asked |= axes;
@@ -74,19 +76,6 @@ impl Search<'_> {
             }
             model = self.fit_model(kept_terms, start, Effort { iterations: 4, ..self.effort() })?;
         }
-    }
-
-    /// Cost beyond noise that a model leaves on the axes where one of its terms acts at a place.
-    fn left_at(&self, model: &Model, term: usize, place: Place) -> f64 {
-        let axes = axes_seen(self.nominal, model.terms[term].effect, place);
-        let stack = &model.fit.stack;
-        self.scene.cost_on(stack, axes) - self.scene.noise_on(stack, axes)
-    }
-
-    /// Cost beyond noise that the rig as given leaves on the axes where a term acts at a place.
-    fn gap_at(&self, term: &Term, place: Place) -> f64 {
-        let axes = axes_seen(self.nominal, term.effect, place);
-        self.scene.cost_on(&self.base, axes) - self.scene.noise_on(&self.base, axes)
     }
 
     /// Whether each effect takes off what by itself would count as a gap. With long recordings far less is significant: what another
