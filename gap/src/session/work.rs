@@ -1,16 +1,18 @@
 //! How much a diagnosis simulates, counted so that it ends in a time that goes with the recordings, and at the same point on every machine.
 //!
-//! A search could go on for as long as there are effects to put together. What it may spend is a number of passes over the session; what is
-//! spent is counted in ticks of an axis without effects, by what simulations take of it
+//! A search could go on for as long as there are effects to put together. What it may spend is a number of passes over the session, and some more
+//! for a short one; what is spent is counted in ticks of an axis without effects, by what simulations take of it
 //! (`cargo run --release -p host-sim --example effect_speed`).
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use host_sim::rig::Rig;
 
-/// Passes over the session, every axis without effects, that a search may spend before it settles for the best that it has: 20 to 30 s on two
-/// cores of 2026 for half a minute of three axes at 10 kHz. Three of the 120 sessions of the blind set 18181 come that far.
-const MOST_PASSES: u64 = 2000;
+/// Passes over the session, every axis without effects, that a search may spend before it settles for the best that it has,
+const MOST_PASSES: u64 = 850;
+/// and samples of one axis beyond them: a few seconds of recording leave room for many effects. Of half a minute of three axes at 10 kHz these
+/// are 1200 passes: some 15 to 19 s on two cores of 2026 with what is left to do after it. Five of the 120 sessions of the blind set 18181 come that far.
+const MOST_BEYOND: u64 = 300_000_000;
 /// What a tick takes with an effect there, in tenths of one without, beyond it.
 const HEAVY: [(&str, u64); 10] = [
     ("friction", 25),
@@ -61,7 +63,8 @@ impl Work {
 
     /// Whether a search has spent what it may, asked where more could be tried.
     pub(crate) fn is_spent(&self) -> bool {
-        let is_spent = self.passes() > MOST_PASSES;
+        let most = MOST_PASSES * self.session + MOST_BEYOND;
+        let is_spent = self.spent.load(Ordering::Relaxed) > PLAIN * most;
         if is_spent {
             self.ended.store(true, Ordering::Relaxed);
         }
