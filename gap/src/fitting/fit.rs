@@ -255,7 +255,9 @@ pub fn fit(
         let before = descent.cost();
         let parts = descent.parts().to_vec();
         let hopeless = before > effort.hopeless && !falls_fast;
-        if knobs.is_empty() || (iteration >= 2 && hopeless) {
+        // One of many that are tried may end in the middle; what is named is fitted to the end.
+        let is_late = || effort.hopeless.is_finite() && scene.work.is_spent();
+        if knobs.is_empty() || (iteration >= 2 && (hopeless || is_late())) {
             break;
         }
         let (values, stack) = (&descent.values, &descent.stack);

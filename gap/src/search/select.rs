@@ -375,6 +375,7 @@ impl<'a> Search<'a> {
             return self.fit_model(terms, values, Effort { iterations: 0, ..effort });
         }
         let model = self.fit_model(terms, start.clone(), effort)?;
+        let (model, start) = self.without_runaways(model, start, left, effort)?;
         let model = self.other_variety(model, effort)?;
         let model = self.other_law(model, &start, effort)?;
         let model = self.further_mode(model, effort)?;
