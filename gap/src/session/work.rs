@@ -11,7 +11,7 @@ use host_sim::rig::Rig;
 /// Passes over the session, every axis without effects, that a search may spend before it settles for the best that it has,
 const MOST_PASSES: u64 = 850;
 /// and samples of one axis beyond them: a few seconds of recording leave room for many effects. Of half a minute of three axes at 10 kHz these
-/// are 1200 passes, some 15 to 19 s on two cores of 2026 with what is left to do after it. Four of the six slowest of the 120 sessions of the
+/// are 1200 passes, some 15 to 19 s on two cores of 2026 with what is left to do after it. The six slowest of the 120 sessions of the
 /// blind set 18181 come that far.
 const MOST_BEYOND: u64 = 300_000_000;
 /// What a tick takes with an effect there, in tenths of one without, beyond it.
