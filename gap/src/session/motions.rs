@@ -107,7 +107,8 @@ impl Scene {
         let missing = (0..keys.len())
             .filter(|&axis| keys[axis].is_some() && known[axis].is_none())
             .fold(0, |mask, axis| mask | 1 << axis);
-        self.work.count(rig, missing, self.tracks[track].len());
+        let Track { rate_hz, .. } = &self.tracks[track];
+        self.work.count(rig, missing, self.tracks[track].len(), 1.0 / rate_hz);
         self.with_input(track, &[], |input| {
             let moved: Vec<Motion> = together(rig, missing)
                 .into_par_iter()

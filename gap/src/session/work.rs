@@ -7,6 +7,8 @@
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use host_sim::rig::Rig;
+use host_sim::stages::mechanism::substeps;
+use host_sim::stages::model::Model;
 
 /// Passes over the session, every axis without effects, that a search may spend before it settles for the best that it has,
 const MOST_PASSES: u64 = 850;
@@ -31,10 +33,8 @@ const HEAVY: [(&str, u64); 10] = [
 const PLAIN: u64 = 10;
 /// Effects that take a tick in parts,
 const IN_PARTS: [&str; 2] = ["inertia", "second-mass"];
-/// effects that ask for every tick, however calm,
+/// and effects that ask for every part of every tick, however calm.
 const EVERY_TICK: [&str; 2] = ["hysteresis-rate", "stage-drag"];
-/// and by how much more the two take together.
-const IN_PARTS_EVERY_TICK: u64 = 6;
 
 /// What was simulated, and how much there is.
 #[derive(Debug)]
@@ -57,18 +57,10 @@ impl Work {
         }
     }
 
-    /// Count a simulation of the axes in a mask over so many ticks.
-    pub(crate) fn count(&self, rig: &Rig, axes: u32, ticks: usize) {
-        let heavy =
-            |name: &str| HEAVY.iter().find(|(n, _)| *n == name).map_or(0, |(_, more)| *more);
-        let of_axis = |on: usize| {
-            let here = || rig.effects.iter().filter(move |s| s.place.on() == on);
-            let has = |names: &[&str]| here().any(|s| names.contains(&s.effect.info().name));
-            let sum = PLAIN + here().map(|s| heavy(s.effect.info().name)).sum::<u64>();
-            if has(&IN_PARTS) && has(&EVERY_TICK) { IN_PARTS_EVERY_TICK * sum } else { sum }
-        };
+    /// Count a simulation of the axes in a mask over so many ticks of `step_s`.
+    pub(crate) fn count(&self, rig: &Rig, axes: u32, ticks: usize, step_s: f64) {
         let on = (0..rig.axes.len()).filter(|on| axes >> on & 1 == 1);
-        let all: u64 = on.map(of_axis).sum();
+        let all: u64 = on.map(|on| of_axis(rig, on, step_s)).sum();
         self.spent.fetch_add(all * ticks as u64, Ordering::Relaxed);
     }
 
@@ -93,6 +85,20 @@ impl Work {
     }
 }
 
+/// What a tick of an axis takes.
+fn of_axis(rig: &Rig, on: usize, step_s: f64) -> u64 {
+    let heavy = |name: &str| HEAVY.iter().find(|(n, _)| *n == name).map_or(0, |(_, more)| *more);
+    let here = rig.effects.iter().filter(|s| s.place.on() == on);
+    let names: Vec<&str> = here.map(|s| s.effect.info().name).collect();
+    let has = |wanted: &[&str]| names.iter().any(|name| wanted.contains(name));
+    let sum = |names: &mut dyn Iterator<Item = &&str>| names.map(|name| heavy(name)).sum::<u64>();
+    if has(&IN_PARTS) && has(&EVERY_TICK) {
+        let parts = substeps(&Model::new(rig, step_s).axes[on], step_s) as u64;
+        return parts * (PLAIN + sum(&mut names.iter().filter(|name| !IN_PARTS.contains(name))));
+    }
+    PLAIN + sum(&mut names.iter())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -102,16 +108,16 @@ mod tests {
     fn what_is_simulated_is_counted_by_what_it_takes() {
         let mut rig = Rig::named("handley").expect("library rig");
         let work = Work::new(3000);
-        work.count(&rig, 0b111, 1000);
+        work.count(&rig, 0b111, 1000, 1.0e-4);
         assert_eq!(work.passes(), 1);
         rig.set("friction", Place::Axis(1), "coulomb_n", 5.0).expect("known parameter");
         // Three and a half times the plain one on one of the axes, and nothing more on the other.
-        work.count(&rig, 0b011, 2000);
+        work.count(&rig, 0b011, 2000, 1.0e-4);
         assert_eq!(work.passes(), 1 + 3);
         rig.set("hysteresis-rate", Place::Axis(2), "resistance_ohm", 5.0).expect("known parameter");
         rig.set("inertia", Place::Axis(2), "added_kg", 0.1).expect("known parameter");
-        // Eight times the plain one, and each tick in parts.
-        work.count(&rig, 0b100, 3000);
+        // Six times the plain one in each of eight parts.
+        work.count(&rig, 0b100, 3000, 1.0e-4);
         assert_eq!(work.passes(), 1 + 3 + 48);
         assert!(!work.is_spent());
     }
@@ -121,10 +127,10 @@ mod tests {
         let rig = Rig::named("handley").expect("library rig");
         for (samples, passes) in [(100_000, 3850), (1_000_000, 1150), (3_000_000, 950)] {
             let work = Work::new(samples);
-            work.count(&rig, 0b001, passes * samples);
+            work.count(&rig, 0b001, passes * samples, 1.0e-4);
             assert!(!work.is_spent(), "{samples}");
             assert_eq!(work.ended_after(), None);
-            work.count(&rig, 0b001, samples);
+            work.count(&rig, 0b001, samples, 1.0e-4);
             // Nobody wanted more yet.
             assert_eq!(work.ended_after(), None);
             assert!(work.is_spent(), "{samples}");
