@@ -20,6 +20,9 @@ const MOST_OF_AXIS: f64 = 0.5;
 /// ... and this share of what is left on its axis. Less is what the form of another effect there leaves.
 const WORTH_OF_LEFT: f64 = 0.1;
 
+/// Effects that resonate. What others make worse on an axis is left to pruning: beside more of them it may be mended.
+const RESONATES: [&str; 2] = ["inertia", "second-mass"];
+
 /// What a place of an effect is worth.
 #[derive(Clone, Copy)]
 struct Worth {
@@ -30,7 +33,7 @@ struct Worth {
 }
 
 impl Search<'_> {
-    /// `model` without those places of its last effect where a fit ran away: they leave more of their axis than what was `left` before.
+    /// `model` without those places of its last effect, if it resonates, where a fit ran away: they leave more of their axis than what was `left` before.
     /// A resonance that was begun far from where it is does, and the axes where it was met would go down with it. Beside it the values
     /// where a fit of the effect by itself began, for the places that stay.
     pub(crate) fn without_runaways(
@@ -40,7 +43,8 @@ impl Search<'_> {
         left: &Stack,
         effort: Effort,
     ) -> Result<(Model, Vec<f64>), Error> {
-        let Some(last) = model.terms.last() else { return Ok((model, begun)) };
+        let resonates = |term: &&Term| RESONATES.contains(&term.name());
+        let Some(last) = model.terms.last().filter(resonates) else { return Ok((model, begun)) };
         let ran_away = |place: &Place| match *place {
             Place::Axis(axis) => {
                 let [now, before] =
