@@ -9,7 +9,6 @@ use host_sim::rig::Axis;
 
 use crate::Error;
 use crate::fitting::fit::rig_with;
-use crate::fitting::guess::Ranges;
 use crate::fitting::knobs::{EffectRef, axes_seen};
 use crate::fitting::model::{Term, knobs_of};
 use crate::search::select::Search;
@@ -102,14 +101,6 @@ impl Mode {
         }
     }
 
-    /// Frequencies at which a mode may lie that its axis does not show: a stage carries much the same mass on all axes, and friction on
-    /// one of them keeps it from ringing.
-    fn likely_hz(self, ranges: &Ranges, on: usize) -> impl Iterator<Item = &f64> {
-        let is_mass = matches!(self, Self::Mass { .. });
-        let axes = ranges.resonances_hz.iter().enumerate();
-        axes.filter(move |&(axis, _)| is_mass && axis != on).filter_map(|(_, seen)| seen.first())
-    }
-
     /// Whether values are a resonance at all: a screen that missed it takes away what mass there is.
     fn is_sound(self, values: &[f64]) -> bool {
         match self {
@@ -198,9 +189,8 @@ impl Search<'_> {
                     if round > 0 {
                         return own.chain(around(&mode.rung(start), -reach..=reach)).collect();
                     }
-                    let own_hz = &ranges.resonances_hz[places[p].on()];
-                    let hz = own_hz.iter().chain(mode.likely_hz(ranges, places[p].on()));
-                    let seen = hz.flat_map(|&hz| mode.placed(effect, start, hz));
+                    let seen = ranges.resonances_hz[places[p].on()].iter();
+                    let seen = seen.flat_map(|&hz| mode.placed(effect, start, hz));
                     let seen: Vec<Vec<f64>> =
                         seen.flat_map(|there| around(&there, AROUND_SEEN)).collect();
                     if mode.is_sound(start) || seen.is_empty() {
