@@ -33,3 +33,11 @@ fn a_loop_is_one_beside_what_other_axes_have() {
     let named = [("hysteresis-shape", &[1][..]), ("sensor-crosstalk", &[2, 3])];
     assert_eq!(causes(&diagnosis), named);
 }
+
+#[test]
+fn a_loop_of_another_law_is_one_beside_a_slow_gauge() {
+    // Two effects with a plain loop leave what a third one would make up for, and friction does about as well as the gauge.
+    let diagnosis = drawn(18181, 1, &["sensor-bandwidth", "hysteresis-shape"]);
+    let named = [("sensor-bandwidth", &[1][..]), ("hysteresis-shape", &[1, 2, 3])];
+    assert_eq!(causes(&diagnosis), named);
+}

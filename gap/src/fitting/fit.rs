@@ -6,6 +6,7 @@
 
 use host_sim::rig::Rig;
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 use crate::Error;
 use crate::fitting::descent::Descent;
@@ -202,16 +203,26 @@ impl Sensitivities {
     /// Normal matrix and gradient over the channels of `stack`.
     pub fn normal(&self, scene: &Scene, stack: &Stack) -> (DMatrix<f64>, DVector<f64>) {
         let n = self.wanted.len();
-        let mut matrix = DMatrix::zeros(n, n);
-        let mut gradient = DVector::zeros(n);
-        for (c, channel) in scene.channels.iter().enumerate() {
-            let Some(here) = &stack[c] else { continue };
+        // Products of the rows of one channel: with the residual, and with each other.
+        let of_channel = |(c, channel): (usize, &Channel)| {
+            let here = stack[c].as_ref()?;
             let rows: Vec<(usize, &Vec<f32>)> =
                 (0..n).filter_map(|k| self.row(k, c, channel.axis).map(|row| (k, row))).collect();
-            for (i, &(a, row)) in rows.iter().enumerate() {
-                gradient[a] += dot(row, here);
-                for &(b, other) in &rows[..=i] {
-                    let product = dot(row, other);
+            let along: Vec<f64> = rows.iter().map(|(_, row)| dot(row, here)).collect();
+            let products = (0..rows.len())
+                .map(|i| rows[..=i].iter().map(|(_, other)| dot(rows[i].1, other)).collect())
+                .collect::<Vec<Vec<f64>>>();
+            let knobs: Vec<usize> = rows.into_iter().map(|(k, _)| k).collect();
+            Some((knobs, along, products))
+        };
+        let parts: Vec<_> = scene.channels.par_iter().enumerate().map(of_channel).collect();
+        let mut matrix = DMatrix::zeros(n, n);
+        let mut gradient = DVector::zeros(n);
+        // Summed in one order, or two runs would differ.
+        for (knobs, along, products) in parts.into_iter().flatten() {
+            for (i, &a) in knobs.iter().enumerate() {
+                gradient[a] += along[i];
+                for (&b, &product) in knobs[..=i].iter().zip(&products[i]) {
                     matrix[(a, b)] += product;
                     if a != b {
                         matrix[(b, a)] += product;
@@ -244,7 +255,9 @@ pub fn fit(
         let before = descent.cost();
         let parts = descent.parts().to_vec();
         let hopeless = before > effort.hopeless && !falls_fast;
-        if knobs.is_empty() || (iteration >= 2 && hopeless) {
+        // One of many that are tried may end in the middle; what is named is fitted to the end.
+        let is_late = || effort.hopeless.is_finite() && scene.work.is_spent();
+        if knobs.is_empty() || (iteration >= 2 && (hopeless || is_late())) {
             break;
         }
         let (values, stack) = (&descent.values, &descent.stack);

@@ -6,6 +6,7 @@
 
 use host_sim::effects::{Parameter, Role};
 use host_sim::rig::Rig;
+use rayon::prelude::*;
 
 use crate::Error;
 use crate::fitting::knobs::{EffectRef, FARTHEST_ZERO};
@@ -105,7 +106,7 @@ pub fn ranges(scene: &Scene, rig: &Rig, raw: &Stack) -> Result<Ranges, Error> {
     }
     let [positions, monitors] = [Kind::Position, Kind::Monitor].map(|kind| lines(scene, raw, kind));
     let strongest = |lines: &[f64], kind| -> Vec<f64> {
-        lines.iter().take(3).map(|&hz| coherent(scene, raw, kind, hz)).collect()
+        lines.par_iter().take(3).map(|&hz| coherent(scene, raw, kind, hz)).collect()
     };
     Ok(Ranges {
         drive_v: drive,

@@ -1,23 +1,16 @@
 //! When a gap is a gap, when a cause is a cause, and when the tool must say that it does not know.
 
-use statrs::statistics::Statistics;
-
 use crate::diagnosis::{AxisGap, Verdict};
 use crate::session::energy::Energies;
 use crate::session::floor::Kind;
-use crate::session::scene::{Channel, Scene, Stack};
+use crate::session::scene::{Scene, Stack};
 
 /// Excess energy of an axis, as a share of its noise energy over the session, that counts as a gap: a quarter of sigma. The noise
 /// is known to 2 % of its energy, and another integrator differs by as much again at steps of 100 V.
 const AXIS_EXCESS: f64 = 0.06;
 /// The same for one recording of one axis: 0.55 sigma.
 const CHANNEL_EXCESS: f64 = 0.3;
-/// Both beyond this share of the motion in a recording: on the edges of 100 V squares integrators differ by about as much.
-const SHARE_OF_MOTION: f64 = 5.0e-4;
-/// ... and beyond this share of its motion from sample to sample: half a step of an integrator that takes 16 a tick. Random binary
-/// drives and fast sweeps show it.
-const SHARE_OF_STEP: f64 = 0.03;
-/// ... and it must be this many standard deviations of a chi-square sum.
+/// Both beyond what integrators may differ by, and this many standard deviations of a chi-square sum.
 const SIGNIFICANT: f64 = 6.0;
 /// Held-out share that an explanation must close to be called one.
 const EXPLAINS: f64 = 0.90;
@@ -61,7 +54,7 @@ pub fn gaps(scene: &Scene, stack: &Stack) -> Vec<AxisGapSize> {
         let (own, floor, spread) = channel.excess_of(row);
         let mut own = own;
         if own > SIGNIFICANT * spread.sqrt() {
-            own = (own - row.len() as f64 * of_integrators(scene, channel)).max(0.0);
+            own = (own - row.len() as f64 * channel.of_integrators).max(0.0);
             worst[channel.axis] = worst[channel.axis].max(own / floor / CHANNEL_EXCESS);
         }
         if channel.kind == Kind::Position {
@@ -77,24 +70,6 @@ pub fn gaps(scene: &Scene, stack: &Stack) -> Vec<AxisGapSize> {
             AxisGapSize { ratio, counts: whole || worst[axis] > 1.0 }
         })
         .collect()
-}
-
-/// Variance by which integrators may differ on what a channel measured, noise variances.
-fn of_integrators(scene: &Scene, channel: &Channel) -> f64 {
-    let track = &scene.tracks[channel.track];
-    let (measured, of_step) = match channel.kind {
-        Kind::Position => (&track.position_um[channel.axis], SHARE_OF_STEP),
-        Kind::Monitor => (&track.monitor_v[channel.axis], 0.0),
-    };
-    let Some(measured) = measured else { return 0.0 };
-    let present = |i: &usize| track.present[*i];
-    let moved = channel.range.clone().filter(present).map(|i| f64::from(measured[i]));
-    let both = channel.range.clone().skip(1).filter(|i| present(i) && present(&(i - 1)));
-    let step = both.map(|i| f64::from(measured[i]) - f64::from(measured[i - 1]));
-    let share = |share: f64, deviation: f64| {
-        if deviation.is_finite() { (share * deviation / channel.sigma).powi(2) } else { 0.0 }
-    };
-    share(SHARE_OF_MOTION, moved.population_std_dev()) + share(of_step, step.population_std_dev())
 }
 
 /// Whether no axis has a gap beyond noise.
@@ -132,7 +107,7 @@ pub fn loud_axes(scene: &Scene, stack: &Stack) -> u32 {
     for (c, channel) in scene.channels.iter().enumerate() {
         let Some(row) = &stack[c] else { continue };
         let (own, floor, spread) = channel.excess_of(row);
-        let own = own - row.len() as f64 * of_integrators(scene, channel);
+        let own = own - row.len() as f64 * channel.of_integrators;
         let sum = &mut sums[channel.axis];
         *sum = (sum.0 + own, sum.1 + floor, sum.2 + spread);
         if own > (4.0 * spread.sqrt()).max(0.03 * floor) {

@@ -16,6 +16,7 @@ use crate::fitting::knobs::EffectRef;
 use crate::fitting::model::Term;
 use crate::judge::{accept, ambiguity, monitors};
 use crate::search::found::{Found, apart, refit};
+use crate::search::screen::Gain;
 use crate::search::select::Search;
 use crate::session::energy::Energies;
 use crate::session::floor::Kind;
@@ -25,6 +26,9 @@ use crate::session::scene::{Channel, Scene, Stack};
 /// Linear effects that may stand beside a coupling.
 const BESIDE: [&str; 4] =
     ["drive-delay", "amplifier-bandwidth", "sensor-bandwidth", "viscoelasticity"];
+
+/// Share of the gap that some coupling has to promise, by a straight line, for a search.
+const LEAST_PROMISE: f64 = 0.02;
 
 /// Couplings that account for slow motion, or `None`.
 pub(crate) fn cross_axis(
@@ -45,6 +49,13 @@ pub(crate) fn cross_axis(
         let fitted = |c: &Channel| !c.held_out;
         let tick = || bar.inc(1);
         let mut search = Search::new(&slow, rig, &few, ranges, &fitted, &tick)?;
+        let gains = search.screen.test(&slow, &search.base, None);
+        let promised = |gains: &[Gain]| gains.iter().map(|g| g.gain).sum::<f64>();
+        let couplings = few.iter().zip(&gains).filter(|(e, _)| couples(e));
+        let promise = couplings.map(|(_, gains)| promised(gains)).fold(0.0, f64::max);
+        if promise < LEAST_PROMISE * search.gap {
+            continue;
+        }
         let Some(model) = search.run()? else { continue };
         if !model.terms.iter().any(|t| couples(&t.effect)) {
             continue;

@@ -339,12 +339,14 @@ fn reaches(rig: &Rig, term: &Term, axis: usize) -> bool {
     term.places.iter().any(|place| seen(place) >> axis & 1 == 1)
 }
 
-/// Effects whose axes that are not trusted hold more of the gap than those that are: what passes for something else here is not believed there.
+/// Effects that close more on axes that are not trusted than on those that are: what passes for something else here is not believed there.
+/// What closes little of an axis passes for nothing on it.
 fn proxies(rig: &Rig, model: &Model, trusted: &[bool], gaps: &[AxisGap]) -> Vec<&'static str> {
     let is_proxy = |term: &&Term| {
         let mut energy = [0.0; 2];
         for gap in gaps.iter().filter(|gap| reaches(rig, term, gap.axis - 1)) {
-            energy[usize::from(trusted[gap.axis - 1])] += gap.energy_nm2().max(0.0);
+            let closed = gap.closed.clamp(0.0, 1.0) * gap.energy_nm2().max(0.0);
+            energy[usize::from(trusted[gap.axis - 1])] += closed;
         }
         energy[0] > energy[1]
     };

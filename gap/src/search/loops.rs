@@ -84,8 +84,13 @@ fn places(model: &Model) -> usize {
 }
 
 impl Search<'_> {
-    /// The model of a search with a loop of any kind, if that is better than `plain`, the one with plain loops.
-    pub(crate) fn with_any_loop(&mut self, plain: Option<Model>) -> Result<Option<Model>, Error> {
+    /// The model of a search with a loop of any kind, if that is better than `plain`, the one with plain loops. `freed`: one whose loop has
+    /// been let go already.
+    pub(crate) fn with_any_loop(
+        &mut self,
+        plain: Option<Model>,
+        freed: Option<Model>,
+    ) -> Result<Option<Model>, Error> {
         let is_loop = |model: &&Model| model.key() == [LOOP];
         let alone = self.tried.iter().find(is_loop).cloned();
         let own = alone.map(|alone| (self.axes_of_loop(&alone, &self.base, &self.base), alone));
@@ -113,15 +118,12 @@ impl Search<'_> {
         self.ranges.any_loop = true;
         let mut is_another_law = false;
         for (axes, bound) in bound {
-            let terms = start_terms(&bound).into_iter();
-            let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = terms.unzip();
             let worth = enough.min(self.noise + self.line_of_loop(&bound, plain.as_ref()));
-            let effort =
-                Effort { iterations: ITERATIONS, hopeless: enough, worth, ..self.effort() };
-            let mut freed = self.fit_model(terms.clone(), start.concat(), effort)?;
-            if freed.fit.cost > STUCK * bound.fit.cost {
-                freed = self.fit_model(terms, given_way(&bound), effort)?;
-            }
+            let known = freed.as_ref().filter(|freed| freed.key() == bound.key()).cloned();
+            let freed = match known {
+                Some(freed) => freed,
+                None => self.let_go(&bound, enough, worth)?,
+            };
             let before = self.left_on(&bound.fit.stack, axes).max(0.0);
             is_another_law = self.left_on(&freed.fit.stack, axes) < ANOTHER_LAW * before
                 && freed.fit.cost < enough;
@@ -144,6 +146,45 @@ impl Search<'_> {
         self.tried = known;
         self.ranges.any_loop = false;
         Ok(plain)
+    }
+
+    /// `bound` with its loop let go, as far as it may come below these costs.
+    fn let_go(&self, bound: &Model, hopeless: f64, worth: f64) -> Result<Model, Error> {
+        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(bound).into_iter().unzip();
+        let effort = Effort { iterations: ITERATIONS, hopeless, worth, ..self.effort() };
+        let freed = self.fit_model(terms.clone(), start.concat(), effort)?;
+        if freed.fit.cost > STUCK * bound.fit.cost {
+            return self.fit_model(terms, given_way(bound), effort);
+        }
+        Ok(freed)
+    }
+
+    /// The search gone on with a loop of any law right after two effects, where that accounts for all that two with a plain loop leave: what
+    /// a third effect would make up for is known then. Others in the place of either are tried there as well.
+    pub(crate) fn two_with_any_loop(&mut self, plain: &Model) -> Result<Option<Model>, Error> {
+        let left = |m: &Model| m.fit.cost - self.noise;
+        let closed = CLOSED * self.gap;
+        if self.ranges.any_loop || left(plain) * MUCH_LESS < closed {
+            return Ok(None);
+        }
+        // Friction makes up for a law that the plain loop does not have.
+        let is_pair = |m: &&Model| {
+            let key = m.key();
+            key.len() == 2 && key.contains(&LOOP) && !key.contains(&FRICTION)
+        };
+        let near = |m: &&Model| left(m) < NEAR * left(plain);
+        let Some(bound) = self.tried.iter().filter(is_pair).find(near).cloned() else {
+            return Ok(None);
+        };
+        self.ranges.any_loop = true;
+        let line = self.noise + closed;
+        let freed = self.let_go(&bound, line, line);
+        self.ranges.any_loop = false;
+        let Some(freed) = Some(freed?).filter(|freed| freed.fit.cost < line) else {
+            return Ok(None);
+        };
+        let any = self.with_any_loop(Some(bound), Some(freed))?;
+        Ok(any.filter(|any| self.ranges.any_loop && any.fit.cost < line))
     }
 
     /// Whether a model leaves next to nothing with a plain loop and nothing that bends as one does: another law would change no name.

@@ -9,7 +9,7 @@ use crate::fitting::knobs::axes_seen;
 use crate::fitting::model::{Model, Term};
 use crate::judge::accept;
 use crate::search::select::{Search, WORTH_ABSOLUTE, WORTH_OF_GAP};
-use crate::session::scene::{Wanted, dot};
+use crate::session::scene::{Stack, Wanted, dot};
 
 /// A place of an effect must be worth this much cost to stay.
 pub(crate) const WORTH_OF_PLACE: f64 = 40.0;
@@ -19,6 +19,9 @@ const WORTH_OF_TOP: f64 = 0.004;
 const MOST_OF_AXIS: f64 = 0.5;
 /// ... and this share of what is left on its axis. Less is what the form of another effect there leaves.
 const WORTH_OF_LEFT: f64 = 0.1;
+
+/// Effects that resonate. What others make worse on an axis is left to pruning: beside more of them it may be mended.
+const RESONATES: [&str; 2] = ["inertia", "second-mass"];
 
 /// What a place of an effect is worth.
 #[derive(Clone, Copy)]
@@ -30,6 +33,44 @@ struct Worth {
 }
 
 impl Search<'_> {
+    /// `model` without those places of its last effect, if it resonates, where a fit ran away: they leave more of their axis than what was `left` before.
+    /// A resonance that was begun far from where it is does, and the axes where it was met would go down with it. Beside it the values
+    /// where a fit of the effect by itself began, for the places that stay.
+    pub(crate) fn without_runaways(
+        &self,
+        model: Model,
+        begun: Vec<f64>,
+        left: &Stack,
+        effort: Effort,
+    ) -> Result<(Model, Vec<f64>), Error> {
+        let resonates = |term: &&Term| RESONATES.contains(&term.name());
+        let Some(last) = model.terms.last().filter(resonates) else { return Ok((model, begun)) };
+        let ran_away = |place: &Place| match *place {
+            Place::Axis(axis) => {
+                let [now, before] =
+                    [&model.fit.stack, left].map(|stack| self.scene.cost_on(stack, 1 << axis));
+                now > before + WORTH_ABSOLUTE
+            }
+            Place::Pair { .. } => false,
+        };
+        let away = last.places.iter().filter(|place| ran_away(place)).count();
+        if away == 0 || away == last.places.len() {
+            return Ok((model, begun));
+        }
+        let stays =
+            |term: &Term, alone: &Term| term.name() != last.name() || !ran_away(&alone.places[0]);
+        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = model.part(stays).into_iter().unzip();
+        let width = last.effect.info().parameters.len();
+        let began = begun.chunks(width).zip(&last.places);
+        let begun = if model.terms.len() == 1 {
+            began.filter(|(_, place)| !ran_away(place)).flat_map(|(b, _)| b.to_vec()).collect()
+        } else {
+            begun
+        };
+        let model = self.fit_model(terms, start.concat(), Effort { iterations: 2, ..effort })?;
+        Ok((model, begun))
+    }
+
     /// Take out terms and places that the model does not need, and fit the rest again.
     pub fn prune(&self, model: Model) -> Result<Model, Error> {
         let mut model = model;

@@ -15,6 +15,7 @@ use crate::fitting::model::{Model, Term, knobs_of, start_terms};
 use crate::judge::accept;
 use crate::search::few::{Few, Line};
 use crate::search::screen::{Gain, Screen, screen};
+use crate::search::variety::has_other_laws;
 use crate::session::scene::{Channel, Scene, Stack, Wanted};
 
 /// How many of the promising models a search fits.
@@ -61,8 +62,10 @@ pub(crate) const MOSTLY_OPEN: f64 = 0.5;
 pub(crate) const CLOSED: f64 = 0.002;
 /// Share of the gap that a single effect may leave for its fit to go on.
 const FAIR: f64 = 0.3;
-/// ... beside one that closes all of it.
+/// ... beside one that closes all of it,
 const RIVAL: f64 = 0.03;
+/// ... and as a multiple of what the best one leaves, in between.
+const RIVAL_OF_SINGLE: f64 = 5.0;
 
 /// Share of the gap that an effect beside others may leave for its fit to go on,
 const BESIDE: f64 = 0.02;
@@ -158,8 +161,12 @@ impl<'a> Search<'a> {
             self.compose(size)?;
         }
         self.go_on_from_known()?;
+        let had_any_loop = self.ranges.any_loop;
         let plain = self.select()?;
-        self.with_any_loop(plain)
+        if self.ranges.any_loop && !had_any_loop {
+            return Ok(plain);
+        }
+        self.with_any_loop(plain, None)
     }
 
     /// Fit what another look came to: a resonance that it found and this one missed is not lost, and what this one shows can be added.
@@ -199,6 +206,11 @@ impl<'a> Search<'a> {
                 || left < WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap)
             {
                 break;
+            }
+            let two = best.clone().filter(|best| best.terms.len() == 2);
+            let any = two.map(|two| self.two_with_any_loop(&two)).transpose()?.flatten();
+            if any.is_some() {
+                return Ok(any);
             }
             // What suits different axes may account for everything already.
             let is_done = |m: Model| accept::is_clean(self.scene, &m.fit.stack);
@@ -346,9 +358,7 @@ impl<'a> Search<'a> {
         let best = self.tried.first().map_or(f64::INFINITY, |m| m.fit.cost);
         // With a good model at hand, one that is still far behind after two iterations is not worth more of them.
         let hopeless = if known.is_empty() {
-            // Beside one that closes everything only what comes near to that is of interest: what else it could be.
-            let open = if best - self.noise < CLOSED * self.gap { RIVAL } else { FAIR };
-            self.noise + (3.0 * (best - self.noise)).max(open * self.gap)
+            self.noise + (3.0 * (best - self.noise)).max(self.may_leave_alone(effect) * self.gap)
         } else {
             best.max(self.noise + self.may_leave() * self.gap) + 0.05 * (best - self.noise).max(0.0)
         };
@@ -358,7 +368,7 @@ impl<'a> Search<'a> {
         });
         let effort = Effort { iterations: 8, tolerance: 2.0e-2, hopeless, worth, ..self.effort() };
         let line = if known.is_empty() {
-            Line::ALONE
+            Line::ALONE.of_gap_at_most(self.may_leave_alone(effect))
         } else {
             Line::BESIDE.of_gap_at_most(self.may_leave())
         };
@@ -366,10 +376,23 @@ impl<'a> Search<'a> {
             return self.fit_model(terms, values, Effort { iterations: 0, ..effort });
         }
         let model = self.fit_model(terms, start.clone(), effort)?;
+        let (model, start) = self.without_runaways(model, start, left, effort)?;
         let model = self.other_variety(model, effort)?;
         let model = self.other_law(model, &start, effort)?;
         let model = self.further_mode(model, effort)?;
         self.even_out(model, effort)
+    }
+
+    /// Share of the gap that a single effect may leave for its fit to go on. The larger one of two that are missing leaves what the smaller
+    /// one does, and no other does so much better; beside one that closes everything only what comes near to that is of interest:
+    /// what else it could be. One of several laws is not known before it was begun with each of them.
+    fn may_leave_alone(&self, effect: EffectRef) -> f64 {
+        let left = |best: &Model| (best.fit.cost - self.noise) / self.gap;
+        let Some(left) = self.tried.first().map(left) else { return FAIR };
+        if left >= CLOSED && has_other_laws(effect) {
+            return FAIR;
+        }
+        (RIVAL_OF_SINGLE * left).clamp(RIVAL, FAIR)
     }
 
     /// Share of the gap that an effect beside others may leave for its fit to go on. Once a model leaves no gap at all, only what comes near

@@ -13,6 +13,7 @@ use host_sim::effects::{Parameter, Place};
 
 use crate::Error;
 use crate::fitting::fit::Effort;
+use crate::fitting::knobs::EffectRef;
 use crate::fitting::model::Model;
 use crate::search::select::{CLOSED, Search, WORTH_OF_FIRST};
 
@@ -30,6 +31,11 @@ const BEGINNINGS: [(&str, &[&[&str]]); 2] = [
 ];
 /// Share of the gap that a law may leave at most for others to be tried.
 const WORTH_OTHERS: f64 = 0.4;
+
+/// Whether an effect has laws that a fit of one of them does not get to.
+pub(crate) fn has_other_laws(effect: EffectRef) -> bool {
+    BEGINNINGS.iter().any(|(name, _)| *name == effect.info().name)
+}
 
 impl Search<'_> {
     /// `model` of one effect, whose fit began at `begun`, or the same begun with another law of it, whichever leaves least.

@@ -1,8 +1,16 @@
 //! One measured quantity of one axis in one recording: its noise, its bands, and how its residuals are weighed.
 
+use statrs::statistics::Statistics;
+
 use crate::session::floor::{self, Kind};
 use crate::session::intake::Track;
 use crate::session::pyramid::{Levels, low_pass, share_kept, transform};
+
+/// Share of the motion in a recording by which integrators may differ: on the edges of 100 V squares they do by about as much.
+const SHARE_OF_MOTION: f64 = 5.0e-4;
+/// ... and of its motion from sample to sample: half a step of an integrator that takes 16 a tick. Random binary drives and fast sweeps
+/// show it.
+const SHARE_OF_STEP: f64 = 0.03;
 
 /// One measured quantity of one axis in one recording.
 #[derive(Debug, Clone)]
@@ -19,6 +27,8 @@ pub struct Channel {
     pub range: std::ops::Range<usize>,
     /// Bands of the scored samples.
     pub levels: Levels,
+    /// Variance by which integrators may differ on what was measured, in units of `sigma` squared.
+    pub(crate) of_integrators: f64,
     /// Variance that nothing can explain, in units of `sigma` squared, band by band.
     pub unrepeatable: Vec<f64>,
     /// Weight of each band: one over the square root of its variance.
@@ -45,6 +55,7 @@ impl Channel {
     ) -> Self {
         let levels = Levels::new(range.len());
         let unrepeatable = floor::unrepeatable_levels(track, axis, kind, sigma, &levels);
+        let of_integrators = of_integrators(track, axis, kind, sigma, &range);
         let weights = unrepeatable.iter().map(|v| (1.0 / v.sqrt()) as f32).collect();
         Self {
             track: track_index,
@@ -53,6 +64,7 @@ impl Channel {
             sigma,
             range,
             levels,
+            of_integrators,
             unrepeatable,
             weights,
             memory: Vec::new(),
@@ -201,6 +213,29 @@ impl Channel {
         }
         (self.excess(row), floor, spread)
     }
+}
+
+/// Variance by which integrators may differ on a stretch of what was measured, in units of `sigma` squared.
+fn of_integrators(
+    track: &Track,
+    axis: usize,
+    kind: Kind,
+    sigma: f64,
+    range: &std::ops::Range<usize>,
+) -> f64 {
+    let (measured, of_step) = match kind {
+        Kind::Position => (&track.position_um[axis], SHARE_OF_STEP),
+        Kind::Monitor => (&track.monitor_v[axis], 0.0),
+    };
+    let Some(measured) = measured else { return 0.0 };
+    let present = |i: &usize| track.present[*i];
+    let moved = range.clone().filter(present).map(|i| f64::from(measured[i]));
+    let both = range.clone().skip(1).filter(|i| present(i) && present(&(i - 1)));
+    let step = both.map(|i| f64::from(measured[i]) - f64::from(measured[i - 1]));
+    let share = |share: f64, deviation: f64| {
+        if deviation.is_finite() { (share * deviation / sigma).powi(2) } else { 0.0 }
+    };
+    share(SHARE_OF_MOTION, moved.population_std_dev()) + share(of_step, step.population_std_dev())
 }
 
 /// Inner product in double precision.

@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use host_sim::motion::{self, AxisMotion, Motion, Upstream, move_axes};
 use host_sim::rig::Rig;
 use host_sim::{Axes, Initial, Input, Output, SimError, Stretch, simulate};
+use rayon::prelude::*;
 
 use crate::Error;
 use crate::session::intake::Track;
@@ -106,19 +107,19 @@ impl Scene {
         let missing = (0..keys.len())
             .filter(|&axis| keys[axis].is_some() && known[axis].is_none())
             .fold(0, |mask, axis| mask | 1 << axis);
-        self.work.count(rig, missing, self.tracks[track].len());
+        let Track { rate_hz, .. } = &self.tracks[track];
+        self.work.count(rig, missing, self.tracks[track].len(), 1.0 / rate_hz);
         self.with_input(track, &[], |input| {
-            if missing != 0 {
-                let moved = move_axes(rig, input, Axes::Only(missing))?;
-                for ((axis, motion), key) in moved.into_iter().enumerate().zip(keys) {
-                    if missing >> axis & 1 == 0 {
-                        continue;
-                    }
-                    if let (true, Some(key), Some(motion)) = (keep, key, &motion) {
-                        self.motions.keep((track, axis), key, motion.clone());
-                    }
-                    known[axis] = motion;
+            let moved: Vec<Motion> = together(rig, missing)
+                .into_par_iter()
+                .map(|axes| move_axes(rig, input, Axes::Only(axes)))
+                .collect::<Result<_, _>>()?;
+            for (axis, key) in keys.into_iter().enumerate().filter(|(a, _)| missing >> a & 1 == 1) {
+                let motion = moved.iter().find_map(|moved| moved[axis].clone());
+                if let (true, Some(key), Some(motion)) = (keep, key, &motion) {
+                    self.motions.keep((track, axis), key, motion.clone());
                 }
+                known[axis] = motion;
             }
             motion::read(rig, input, &known, axes)
         })
@@ -170,6 +171,16 @@ impl Scene {
     }
 }
 
+/// Axes of a mask in parts that move by themselves, so that no core waits for the other at the end of a session: all of them where springs
+/// may tie some together.
+fn together(rig: &Rig, axes: u32) -> Vec<u32> {
+    let is_tied = rig.effects.iter().any(|s| s.effect.info().name == "stiffness-coupling");
+    if is_tied && axes != 0 {
+        return vec![axes];
+    }
+    (0..rig.axes.len()).map(|axis| 1 << axis).filter(|axis| axes & axis != 0).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use host_sim::Place;
@@ -207,6 +218,16 @@ mod tests {
         assert!(!finds(&heavy));
         assert!(motions.get((0, 1), &key(&rig, 0)).is_none());
         assert!(motions.get((1, 0), &key(&rig, 0)).is_none());
+    }
+
+    #[test]
+    fn axes_that_springs_tie_move_together() {
+        let rig = Rig::named("handley").unwrap();
+        assert_eq!(together(&rig, 0b101), [0b001, 0b100]);
+        let pair = Place::Pair { on: 1, from: 2 };
+        let tied = changed("stiffness-coupling", pair, "stiffness_n_per_m", 1.0e5);
+        assert_eq!(together(&tied, 0b101), [0b101]);
+        assert!(together(&tied, 0).is_empty());
     }
 
     #[test]
