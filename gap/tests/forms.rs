@@ -122,3 +122,12 @@ fn a_loss_that_goes_with_the_rate_in_another_way_is_found() {
     let diagnosis = drawn_in_a_further_form(3201, 6, "hysteresis-rate", &LOSSES);
     assert_eq!(causes(&diagnosis), vec![("hysteresis-rate", &[1, 2, 3][..])]);
 }
+
+#[test]
+fn a_preload_lost_near_rest_cannot_be_told_from_a_shifted_gauge() {
+    // The contact opens 0.2 um from rest, where the session hardly is: what is left is a shift.
+    let diagnosis = drawn(19191, 20, &["preload-loss"]);
+    let [cause] = &diagnosis.causes[..] else { panic!("{:?}", causes(&diagnosis)) };
+    assert_eq!((cause.effect.as_str(), &cause.axes[..]), ("sensor-offset", &[1, 2, 3][..]));
+    assert!(cause.indistinguishable_from.iter().any(|e| e == "preload-loss"), "{cause:?}");
+}

@@ -185,7 +185,7 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             }
         }
         "preload-loss" => {
-            for share in [0.08, 0.2, 0.35, 0.55, 0.8] {
+            for share in [0.02, 0.08, 0.2, 0.35, 0.55, 0.8] {
                 for since_zero in [0.0, 1.0] {
                     wanted.push(with(&[
                         ("lost_share", typical("lost_share")),

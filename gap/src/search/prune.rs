@@ -22,6 +22,8 @@ const WORTH_OF_LEFT: f64 = 0.1;
 
 /// Effects that resonate. What others make worse on an axis is left to pruning: beside more of them it may be mended.
 const RESONATES: [&str; 2] = ["inertia", "second-mass"];
+/// Iterations for them once what ran away has been begun again, or has left.
+const RESTARTED: usize = 3;
 
 /// What a place of an effect is worth.
 #[derive(Clone, Copy)]
@@ -33,9 +35,10 @@ struct Worth {
 }
 
 impl Search<'_> {
-    /// `model` without those places of its last effect, if it resonates, where a fit ran away: they leave more of their axis than what was `left` before.
-    /// A resonance that was begun far from where it is does, and the axes where it was met would go down with it. Beside it the values
-    /// where a fit of the effect by itself began, for the places that stay.
+    /// `model` without those places of its last effect, if it resonates, where a fit ran away: they leave more of their axis than what was
+    /// `left` before. A resonance that was begun far from where it is does, and the axes where it was met would go down with it. Places
+    /// that ran away are begun once more from the one that gained most: a stage carries much the same on all axes. Beside the model the
+    /// values where a fit of the effect by itself began, for the places that stay.
     pub(crate) fn without_runaways(
         &self,
         model: Model,
@@ -45,30 +48,51 @@ impl Search<'_> {
     ) -> Result<(Model, Vec<f64>), Error> {
         let resonates = |term: &&Term| RESONATES.contains(&term.name());
         let Some(last) = model.terms.last().filter(resonates) else { return Ok((model, begun)) };
-        let ran_away = |place: &Place| match *place {
+        let lost = |model: &Model, place: &Place| match *place {
             Place::Axis(axis) => {
-                let [now, before] =
-                    [&model.fit.stack, left].map(|stack| self.scene.cost_on(stack, 1 << axis));
-                now > before + WORTH_ABSOLUTE
+                let cost = |stack| self.scene.cost_on(stack, 1 << axis);
+                cost(&model.fit.stack) - cost(left)
             }
-            Place::Pair { .. } => false,
+            Place::Pair { .. } => 0.0,
         };
-        let away = last.places.iter().filter(|place| ran_away(place)).count();
-        if away == 0 || away == last.places.len() {
+        let ran_away = |model: &Model| -> Vec<bool> {
+            last.places.iter().map(|place| lost(model, place) > WORTH_ABSOLUTE).collect()
+        };
+        let away = ran_away(&model);
+        if !away.contains(&true) || !away.contains(&false) {
+            return Ok((model, begun));
+        }
+        let effort = Effort { iterations: RESTARTED, ..effort };
+        let nth = model.terms.len() - 1;
+        let by_loss = |&a: &usize, &b: &usize| {
+            lost(&model, &last.places[a]).total_cmp(&lost(&model, &last.places[b]))
+        };
+        let lead = (0..away.len()).min_by(by_loss).map_or(&[][..], |lead| model.values(nth, lead));
+        let width = lead.len();
+        let mut start = model.fit.values.clone();
+        let own = &mut start[model.knob_range(nth)];
+        for (values, _) in own.chunks_mut(width).zip(&away).filter(|(_, away)| **away) {
+            values.copy_from_slice(lead);
+        }
+        let again = self.fit_model(model.terms.clone(), start, effort)?;
+        let away = ran_away(&again);
+        if !away.contains(&true) {
+            return Ok((again, begun));
+        }
+        if !away.contains(&false) {
             return Ok((model, begun));
         }
         let stays =
-            |term: &Term, alone: &Term| term.name() != last.name() || !ran_away(&alone.places[0]);
-        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = model.part(stays).into_iter().unzip();
-        let width = last.effect.info().parameters.len();
-        let began = begun.chunks(width).zip(&last.places);
-        let begun = if model.terms.len() == 1 {
-            began.filter(|(_, place)| !ran_away(place)).flat_map(|(b, _)| b.to_vec()).collect()
+            |place: &Place| last.places.iter().zip(&away).any(|(p, away)| p == place && !away);
+        let kept = again.part(|term, alone| term.name() != last.name() || stays(&alone.places[0]));
+        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = kept.into_iter().unzip();
+        let began = begun.chunks(width).zip(&away);
+        let begun = if nth == 0 {
+            began.filter(|(_, away)| !**away).flat_map(|(b, _)| b.to_vec()).collect()
         } else {
             begun
         };
-        let model = self.fit_model(terms, start.concat(), Effort { iterations: 2, ..effort })?;
-        Ok((model, begun))
+        Ok((self.fit_model(terms, start.concat(), effort)?, begun))
     }
 
     /// Take out terms and places that the model does not need, and fit the rest again.

@@ -5,7 +5,7 @@
 //! only lower by damping the model's own mode away. So frequencies around the one that the screen liked are tried first.
 
 use host_sim::effects::Place;
-use host_sim::rig::Axis;
+use host_sim::rig::{Axis, Rig};
 
 use crate::Error;
 use crate::fitting::fit::rig_with;
@@ -200,9 +200,30 @@ impl Search<'_> {
                     }
                 })
                 .collect();
+            if !self.affords(known, (effect, places), &offers, &telling)? {
+                break;
+            }
             starts = self.best_of_offers(known, (effect, places), &offers, &telling)?;
         }
         Ok(starts)
+    }
+
+    /// Whether a search may still simulate all of these offers: beside a loop that takes every tick in parts they could cost more than all else.
+    fn affords(
+        &self,
+        known: &[(Term, Vec<f64>)],
+        (effect, places): (EffectRef, &[Place]),
+        offers: &[Vec<Vec<f64>>],
+        telling: &Telling,
+    ) -> Result<bool, Error> {
+        let many = offers.iter().map(Vec::len).max().unwrap_or(0);
+        let rig = self.offered(known, (effect, places), offers, 0)?;
+        let axes = places.iter().fold(0, |m, &p| m | axes_seen(self.nominal, effect, p));
+        let few = many >= MANY_OFFERS && telling.first.len() < telling.all.len();
+        let tracks = if few { &telling.first } else { &telling.all };
+        let ticks = tracks.iter().map(|&track| self.scene.tracks[track].len()).sum();
+        let step_s = 1.0 / self.ranges.rate_hz;
+        Ok(self.scene.work.affords((&rig, axes), ticks, step_s, many))
     }
 
     /// For every place the one of its offers that leaves least of some recordings, beside the `known` terms. Many offers go through the
@@ -224,6 +245,21 @@ impl Search<'_> {
         Ok(ranked.into_iter().map(|mut offers| offers.swap_remove(0)).collect())
     }
 
+    /// The rig with the `known` terms and the offer of that number, or the last one, at every place.
+    fn offered(
+        &self,
+        known: &[(Term, Vec<f64>)],
+        (effect, places): (EffectRef, &[Place]),
+        offers: &[Vec<Vec<f64>>],
+        number: usize,
+    ) -> Result<Rig, Error> {
+        let mut terms: Vec<Term> = known.iter().map(|(term, _)| term.clone()).collect();
+        terms.push(Term { effect, places: places.to_vec() });
+        let mut values: Vec<f64> = known.iter().flat_map(|(_, v)| v.iter().copied()).collect();
+        values.extend(offers.iter().flat_map(|o| o[number.min(o.len() - 1)].iter().copied()));
+        rig_with(self.nominal, &knobs_of(&terms, &self.ranges), &values)
+    }
+
     /// The offers of every place, those that leave least of some recordings first.
     fn rank_offers(
         &self,
@@ -234,15 +270,9 @@ impl Search<'_> {
     ) -> Result<Vec<Vec<Vec<f64>>>, Error> {
         let include = |c: &Channel| (self.include)(c) && telling.contains(&c.track);
         let most = offers.iter().map(Vec::len).max().unwrap_or(0);
-        let nth = |offers: &Vec<Vec<f64>>, k: usize| offers[k.min(offers.len() - 1)].clone();
-        let mut rigs = Vec::with_capacity(most);
-        for k in 0..most {
-            let mut terms: Vec<Term> = known.iter().map(|(term, _)| term.clone()).collect();
-            terms.push(Term { effect, places: places.to_vec() });
-            let mut values: Vec<f64> = known.iter().flat_map(|(_, v)| v.iter().copied()).collect();
-            values.extend(offers.iter().flat_map(|offers| nth(offers, k)));
-            rigs.push(rig_with(self.nominal, &knobs_of(&terms, &self.ranges), &values)?);
-        }
+        let rigs = (0..most)
+            .map(|k| self.offered(known, (effect, places), offers, k))
+            .collect::<Result<Vec<_>, _>>()?;
         let axes = places.iter().fold(0, |m, &p| m | axes_seen(self.nominal, effect, p));
         let jobs: Vec<_> = rigs.iter().map(|rig| (rig, Wanted { axes, monitors: false })).collect();
         let stacks = self.scene.residuals(&jobs, include)?;

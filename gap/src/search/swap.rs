@@ -12,6 +12,9 @@ use crate::session::scene::Wanted;
 /// A plainer model may leave this much more than the best one, of what that leaves, or of what it saves.
 const AS_LITTLE: f64 = 0.1;
 
+/// Models about which effects are swapped: the plainest of them may be another one than what was swapped about.
+const ROUNDS: usize = 2;
+
 impl Search<'_> {
     /// Try others in the place of each effect of a model of several. An effect that was fitted alone, or beside a wrong one, made
     /// up for what it lacked: what suits best beside it may only show once it has found its own size.
@@ -20,12 +23,28 @@ impl Search<'_> {
         if size < 2 {
             return Ok(self.plainest(model));
         }
+        let mut at = model;
+        for _ in 0..ROUNDS {
+            self.swap_each(&at)?;
+            let Some(best) = self.best_of(size) else { break };
+            let best = self.plainest(best);
+            let has_moved = best.key() != at.key();
+            at = best;
+            if !has_moved {
+                break;
+            }
+        }
+        Ok(at)
+    }
+
+    /// Try others in the place of each effect of `model`, and remember them.
+    fn swap_each(&mut self, model: &Model) -> Result<(), Error> {
         let names = model.key();
-        for t in 0..size {
+        for t in 0..model.terms.len() {
             if self.is_spent() {
                 break;
             }
-            let mut others = start_terms(&model);
+            let mut others = start_terms(model);
             others.remove(t);
             let (terms, values): (Vec<Term>, Vec<Vec<f64>>) = others.iter().cloned().unzip();
             let rig = model.without(self.nominal, t, |_| true)?;
@@ -60,7 +79,7 @@ impl Search<'_> {
                 }
             }
         }
-        Ok(self.best_of(size).map_or(model, |best| self.plainest(best)))
+        Ok(())
     }
 
     /// The model of fewest numbers among those that leave about as little as the best one, of as many effects.

@@ -59,19 +59,33 @@ impl Work {
 
     /// Count a simulation of the axes in a mask over so many ticks of `step_s`.
     pub(crate) fn count(&self, rig: &Rig, axes: u32, ticks: usize, step_s: f64) {
-        let on = (0..rig.axes.len()).filter(|on| axes >> on & 1 == 1);
-        let all: u64 = on.map(|on| of_axis(rig, on, step_s)).sum();
-        self.spent.fetch_add(all * ticks as u64, Ordering::Relaxed);
+        self.spent.fetch_add(of_axes(rig, axes, step_s) * ticks as u64, Ordering::Relaxed);
+    }
+
+    /// Whether a search may still simulate the axes in a mask `times` over so many ticks of `step_s`.
+    pub(crate) fn affords(
+        &self,
+        (rig, axes): (&Rig, u32),
+        ticks: usize,
+        step_s: f64,
+        times: usize,
+    ) -> bool {
+        let more = of_axes(rig, axes, step_s) * ticks as u64 * times as u64;
+        self.allows(self.spent.load(Ordering::Relaxed) + more)
     }
 
     /// Whether a search has spent what it may, asked where more could be tried.
     pub(crate) fn is_spent(&self) -> bool {
-        let most = MOST_PASSES * self.session + MOST_BEYOND;
-        let is_spent = self.spent.load(Ordering::Relaxed) > PLAIN * most;
-        if is_spent {
+        !self.allows(self.spent.load(Ordering::Relaxed))
+    }
+
+    /// Whether so much may be spent. If not, something is left out.
+    fn allows(&self, tenths: u64) -> bool {
+        let allows = tenths <= PLAIN * (MOST_PASSES * self.session + MOST_BEYOND);
+        if !allows {
             self.ended.store(true, Ordering::Relaxed);
         }
-        is_spent
+        allows
     }
 
     /// Passes that were spent, if something was not tried because of them.
@@ -83,6 +97,12 @@ impl Work {
     fn passes(&self) -> u64 {
         self.spent.load(Ordering::Relaxed) / (PLAIN * self.session)
     }
+}
+
+/// What a tick of the axes in a mask takes.
+fn of_axes(rig: &Rig, axes: u32, step_s: f64) -> u64 {
+    let on = (0..rig.axes.len()).filter(|on| axes >> on & 1 == 1);
+    on.map(|on| of_axis(rig, on, step_s)).sum()
 }
 
 /// What a tick of an axis takes.
