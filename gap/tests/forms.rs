@@ -131,3 +131,19 @@ fn a_preload_lost_near_rest_cannot_be_told_from_a_shifted_gauge() {
     assert_eq!((cause.effect.as_str(), &cause.axes[..]), ("sensor-offset", &[1, 2, 3][..]));
     assert!(cause.indistinguishable_from.iter().any(|e| e == "preload-loss"), "{cause:?}");
 }
+
+#[test]
+fn a_contact_that_opens_where_the_stage_hardly_is_is_found() {
+    // At 2 um of 13: the settings of the screen next to it do nothing, and a thousand times the gap.
+    let diagnosis = drawn(20202, 8, &["preload-loss"]);
+    assert_explained(&diagnosis, &[("preload-loss", &[1, 2, 3][..])]);
+}
+
+#[test]
+fn what_noise_alone_ranks_is_ranked_by_what_the_cause_is_confused_with() {
+    // Four causes shift the gauge of axis 1 alike; one of the three that are named is the rig's.
+    let diagnosis = drawn(20202, 95, &["preload-loss", "hysteresis-shape"]);
+    let shift = &diagnosis.causes[0];
+    assert_eq!((shift.effect.as_str(), &shift.axes[..]), ("sensor-offset", &[1][..]));
+    assert!(shift.indistinguishable_from.iter().any(|e| e == "preload-loss"), "{shift:?}");
+}

@@ -96,3 +96,24 @@ fn effects_are_swapped_about_the_plainest_pair() {
     let diagnosis = drawn(19191, 48, &["sensor-offset", "piezo-gain"]);
     assert_explained(&diagnosis, &[("sensor-offset", &[1][..]), ("piezo-gain", &[1, 2, 3])]);
 }
+
+#[test]
+fn springs_and_crosstalk_are_fitted_between_every_pair_of_axes() {
+    // Each alone takes in most of the other; a pair of axes that the crosstalk alone did not need is the one that tells them apart.
+    let diagnosis = drawn(20202, 77, &["sensor-crosstalk", "stiffness-coupling"]);
+    let named = [("sensor-crosstalk", &[1, 2][..]), ("stiffness-coupling", &[1, 2, 3])];
+    assert_explained(&diagnosis, &named);
+}
+
+#[test]
+fn a_limit_that_only_steps_reach_is_found_beside_a_gain() {
+    // What was held out hardly reaches it, and its form does a little harm there.
+    let diagnosis = drawn(20202, 110, &["amplifier-current-limit", "sensor-gain"]);
+    assert_eq!(diagnosis.verdict, Verdict::Explained);
+    let [limit, gain] = &diagnosis.causes[..] else { panic!("{:?}", causes(&diagnosis)) };
+    assert_eq!((limit.effect.as_str(), &limit.axes[..]), ("amplifier-current-limit", &[2][..]));
+    assert_eq!(gain.axes, [1, 2, 3]);
+    let could_be =
+        |name: &str| gain.effect == name || gain.indistinguishable_from.iter().any(|e| e == name);
+    assert!(could_be("sensor-gain"), "{gain:?}");
+}

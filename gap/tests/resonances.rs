@@ -84,3 +84,18 @@ fn an_axis_that_rings_at_the_end_of_one_sweep_alone_is_checked_there() {
     assert_eq!(common::causes(&diagnosis), [("inertia", &[1, 2, 3][..])]);
     assert!(diagnosis.gap.closed > 0.99, "{}", diagnosis.gap.closed);
 }
+
+#[test]
+fn a_mass_that_rings_beyond_half_the_sample_rate_is_found_by_its_alias() {
+    // 2.9 kHz in recordings of 5 kHz, and on the other axis next to nothing of it: that one rings near the first.
+    let diagnosis = common::drawn(20202, 6, &["inertia"]);
+    common::assert_explained(&diagnosis, &[("inertia", &[2, 3][..])]);
+}
+
+#[test]
+fn a_part_that_swings_is_found_on_an_axis_that_hardly_shows_it() {
+    // A fortieth of the other axis, and most of what a gain leaves on its own.
+    let diagnosis = common::drawn(20202, 107, &["second-mass", "sensor-gain"]);
+    let named = [("sensor-gain", &[2, 3][..]), ("second-mass", &[1, 2])];
+    common::assert_explained(&diagnosis, &named);
+}

@@ -117,7 +117,7 @@ pub fn ranges(scene: &Scene, rig: &Rig, raw: &Stack) -> Result<Ranges, Error> {
         monitor_lines_hz: strongest(&monitors, Kind::Monitor),
         harmonics: [2.0, 3.0]
             .map(|order| has_harmonic(&positions, order) || has_harmonic(&monitors, order)),
-        resonances_hz: resonances(scene, raw),
+        resonances_hz: resonances(scene, raw, rig.sample_rate_hz),
         stiffness_n_per_m: rig.axes[0].piezo.stiffness_n_per_m
             + rig.axes[0].mechanism.stiffness_n_per_m,
         mass_kg: rig.axes[0].piezo.mass_kg + rig.axes[0].mechanism.mass_kg,

@@ -89,7 +89,13 @@ fn standing(search: &Search, model: &Model, term: usize) -> Standing {
             rivals.push((behind, instead.name(), rival.clone()));
         }
     }
-    rivals.sort_by(|a, b| a.0.total_cmp(&b.0));
+    // Among those that noise alone ranks, what the cause is known to be confused with comes first.
+    let alike = model.terms[term].effect.info().confused_with;
+    let rank = |(behind, name, _): &(f64, &str, Model)| {
+        let is_level = *behind < NOISE_MARGIN;
+        (!is_level, is_level && !alike.contains(name))
+    };
+    rivals.sort_by(|a, b| rank(a).cmp(&rank(b)).then(a.0.total_cmp(&b.0)));
     rivals.truncate(MOST_RIVALS);
     Standing {
         confidence: 1.0 / weight,

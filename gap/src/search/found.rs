@@ -104,8 +104,11 @@ pub(crate) fn apart(search: &Search, model: &Model) -> Result<Vec<Apart>, Error>
 
 /// Take out effects that make the held-out recordings worse: they only mended the form of another one where it was fitted.
 fn stands_elsewhere(search: &Search, model: Model) -> Result<Model, Error> {
-    /// Rise of the held-out cost that is no accident, in noise variances.
+    /// Rise of the held-out cost that is no accident, in noise variances,
     const WORSE: f64 = 30.0;
+    /// and as a share of what the effect takes off where it was fitted. A limit that one recording of steps reaches by far does next to
+    /// nothing in others, and its form shows there.
+    const WORSE_OF_TAKEN: f64 = 0.02;
     let held = |c: &Channel| c.held_out;
     let mut model = model;
     while model.terms.len() > 1 {
@@ -117,6 +120,10 @@ fn stands_elsewhere(search: &Search, model: Model) -> Result<Model, Error> {
         let costs: Vec<f64> = search.scene.residuals(&jobs, held)?.iter().map(cost).collect();
         let worst = (0..model.terms.len()).min_by(|&a, &b| costs[a + 1].total_cmp(&costs[b + 1]));
         let Some(t) = worst.filter(|&t| costs[t + 1] < costs[0] - WORSE) else { break };
+        let without = search.scene.residuals_at(&rigs[t + 1], Wanted::ALL, search.include)?;
+        if costs[0] - costs[t + 1] < WORSE_OF_TAKEN * (cost(&without) - model.fit.cost) {
+            break;
+        }
         let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(&model)
             .into_iter()
             .enumerate()

@@ -42,7 +42,7 @@ impl Search<'_> {
         let raw = self.scene.raw(&model.fit.rig, self.include)?;
         // Axes are built alike: what stands out on one of them is tried on the others as well.
         let mut seen: Vec<f64> = Vec::new();
-        let of_axes = resonances(self.scene, &raw);
+        let of_axes = resonances(self.scene, &raw, self.nominal.sample_rate_hz);
         of_axes.into_iter().flatten().for_each(|hz| push_apart(&mut seen, hz));
         let offers: Vec<Vec<Vec<f64>>> = (0..term.places.len())
             .map(|nth| {

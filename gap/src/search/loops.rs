@@ -48,6 +48,8 @@ const NEAR: f64 = 2.0;
 const HALF: f64 = 0.5;
 /// Share of the gap that the form of a single right effect leaves.
 const FORM_OF_ONE: f64 = 0.01;
+/// ... and the share below which no loop is let go any more once a search has spent what it may.
+const MOSTLY_CLOSED: f64 = 0.05;
 /// Iterations of its fit.
 const ITERATIONS: usize = 12;
 
@@ -102,7 +104,9 @@ impl Search<'_> {
         let bound: Vec<(u32, Model)> = own.into_iter().chain(beside).filter(|b| b.0 != 0).collect();
         let is_closed =
             |m: &Model| m.terms.len() < MOST_EFFECTS && accept::is_clean(self.scene, &m.fit.stack);
-        let is_done = |m: &Model| is_closed(m) || self.is_plainly_a_loop(m);
+        let is_late =
+            |m: &Model| m.fit.cost - self.noise < MOSTLY_CLOSED * self.gap && self.is_spent();
+        let is_done = |m: &Model| is_closed(m) || self.is_plainly_a_loop(m) || is_late(m);
         if bound.is_empty() || plain.as_ref().is_some_and(is_done) {
             return Ok(plain);
         }

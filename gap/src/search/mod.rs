@@ -5,12 +5,13 @@
 //! | what each effect of the catalogue promises, by sensitivities | [`screen`], `direction` |
 //! | the most promising ones alone, on all axes and on each one | [`select`], `each_axis` |
 //! | one more effect beside the best, up to three | `widen`, `compose`, `joint` |
-//! | where a fit starts that does not get there by itself | `resonance`, `threshold`, `variety`, `further_mode` |
+//! | where a fit starts that does not get there by itself | `resonance`, `alike`, `threshold`, `variety`, `further_mode`, `pairs` |
 //! | what is not worth fitting to the end | `few` |
 //! | other effects in the place of those chosen, fewer, none where they do nothing | `swap`, `trade`, `fewer`, `prune` |
 //! | loops of any law | `loops` |
 //! | the whole of it, checked on recordings held out | `found` |
 
+mod alike;
 mod compose;
 mod direction;
 mod each_axis;
@@ -20,6 +21,7 @@ pub(crate) mod found;
 mod further_mode;
 mod joint;
 pub(crate) mod loops;
+mod pairs;
 mod prune;
 mod resonance;
 pub mod screen;

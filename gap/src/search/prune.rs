@@ -9,21 +9,16 @@ use crate::fitting::knobs::axes_seen;
 use crate::fitting::model::{Model, Term};
 use crate::judge::accept;
 use crate::search::select::{Search, WORTH_ABSOLUTE, WORTH_OF_GAP};
-use crate::session::scene::{Stack, Wanted, dot};
+use crate::session::scene::{Wanted, dot};
 
 /// A place of an effect must be worth this much cost to stay.
 pub(crate) const WORTH_OF_PLACE: f64 = 40.0;
-/// ... and this share of what the effect's best place is worth, unless it is this share of all that is missing on its axis: what ties axes
-/// together leaves little of a loud one on a quiet one.
+/// ... and this share of what the effect's best place is worth, unless it is this share of all that is missing on its axis, beside the
+/// others as well: what ties axes together leaves little of a loud one on a quiet one.
 const WORTH_OF_TOP: f64 = 0.004;
 const MOST_OF_AXIS: f64 = 0.5;
 /// ... and this share of what is left on its axis. Less is what the form of another effect there leaves.
 const WORTH_OF_LEFT: f64 = 0.1;
-
-/// Effects that resonate. What others make worse on an axis is left to pruning: beside more of them it may be mended.
-const RESONATES: [&str; 2] = ["inertia", "second-mass"];
-/// Iterations for them once what ran away has been begun again, or has left.
-const RESTARTED: usize = 3;
 
 /// What a place of an effect is worth.
 #[derive(Clone, Copy)]
@@ -35,66 +30,6 @@ struct Worth {
 }
 
 impl Search<'_> {
-    /// `model` without those places of its last effect, if it resonates, where a fit ran away: they leave more of their axis than what was
-    /// `left` before. A resonance that was begun far from where it is does, and the axes where it was met would go down with it. Places
-    /// that ran away are begun once more from the one that gained most: a stage carries much the same on all axes. Beside the model the
-    /// values where a fit of the effect by itself began, for the places that stay.
-    pub(crate) fn without_runaways(
-        &self,
-        model: Model,
-        begun: Vec<f64>,
-        left: &Stack,
-        effort: Effort,
-    ) -> Result<(Model, Vec<f64>), Error> {
-        let resonates = |term: &&Term| RESONATES.contains(&term.name());
-        let Some(last) = model.terms.last().filter(resonates) else { return Ok((model, begun)) };
-        let lost = |model: &Model, place: &Place| match *place {
-            Place::Axis(axis) => {
-                let cost = |stack| self.scene.cost_on(stack, 1 << axis);
-                cost(&model.fit.stack) - cost(left)
-            }
-            Place::Pair { .. } => 0.0,
-        };
-        let ran_away = |model: &Model| -> Vec<bool> {
-            last.places.iter().map(|place| lost(model, place) > WORTH_ABSOLUTE).collect()
-        };
-        let away = ran_away(&model);
-        if !away.contains(&true) || !away.contains(&false) {
-            return Ok((model, begun));
-        }
-        let effort = Effort { iterations: RESTARTED, ..effort };
-        let nth = model.terms.len() - 1;
-        let by_loss = |&a: &usize, &b: &usize| {
-            lost(&model, &last.places[a]).total_cmp(&lost(&model, &last.places[b]))
-        };
-        let lead = (0..away.len()).min_by(by_loss).map_or(&[][..], |lead| model.values(nth, lead));
-        let width = lead.len();
-        let mut start = model.fit.values.clone();
-        let own = &mut start[model.knob_range(nth)];
-        for (values, _) in own.chunks_mut(width).zip(&away).filter(|(_, away)| **away) {
-            values.copy_from_slice(lead);
-        }
-        let again = self.fit_model(model.terms.clone(), start, effort)?;
-        let away = ran_away(&again);
-        if !away.contains(&true) {
-            return Ok((again, begun));
-        }
-        if !away.contains(&false) {
-            return Ok((model, begun));
-        }
-        let stays =
-            |place: &Place| last.places.iter().zip(&away).any(|(p, away)| p == place && !away);
-        let kept = again.part(|term, alone| term.name() != last.name() || stays(&alone.places[0]));
-        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = kept.into_iter().unzip();
-        let began = begun.chunks(width).zip(&away);
-        let begun = if nth == 0 {
-            began.filter(|(_, away)| !**away).flat_map(|(b, _)| b.to_vec()).collect()
-        } else {
-            begun
-        };
-        Ok((self.fit_model(terms, start.concat(), effort)?, begun))
-    }
-
     /// Take out terms and places that the model does not need, and fit the rest again.
     pub fn prune(&self, model: Model) -> Result<Model, Error> {
         let mut model = model;
@@ -116,7 +51,8 @@ impl Search<'_> {
                     let is_one_of_several = term.places.len() > 1;
                     let left =
                         if is_one_of_several { self.left_on(&model.fit.stack, axes) } else { 0.0 };
-                    let of_top = (WORTH_OF_TOP * top).min(MOST_OF_AXIS * gap);
+                    let missing = gap.min(worth[t][p].cost + self.left_on(&model.fit.stack, axes));
+                    let of_top = (WORTH_OF_TOP * top).min(MOST_OF_AXIS * missing);
                     let needed =
                         worth[t][p].cost > WORTH_OF_PLACE.max(of_top).max(WORTH_OF_LEFT * left);
                     let term_needed =

@@ -35,7 +35,7 @@ const DAMPED: f64 = 0.02;
 
 /// What sets the frequency of an effect that resonates.
 #[derive(Clone, Copy)]
-enum Mode {
+pub(super) enum Mode {
     /// The mass of the mechanism, beside the nominal one (kg), on the spring that there is (N/m).
     Mass { nominal_kg: f64, stiffness_n_per_m: f64 },
     /// A spring of its own, on an axis that is held by this stiffness (N/m).
@@ -47,7 +47,7 @@ enum Mode {
 const SHARES: [f64; 4] = [0.05, 0.2, 0.45, 0.75];
 
 impl Mode {
-    fn of(effect: &str, axis: &Axis) -> Option<Self> {
+    pub(super) fn of(effect: &str, axis: &Axis) -> Option<Self> {
         let stiffness_n_per_m = axis.piezo.stiffness_n_per_m + axis.mechanism.stiffness_n_per_m;
         match effect {
             "inertia" => Some(Self::Mass {
@@ -60,7 +60,7 @@ impl Mode {
     }
 
     /// Values of the effect with its frequency times `ratio`.
-    fn moved(self, values: &[f64], ratio: f64) -> Vec<f64> {
+    pub(super) fn moved(self, values: &[f64], ratio: f64) -> Vec<f64> {
         let mut values = values.to_vec();
         match self {
             // The frequency goes with the root of the mass.
@@ -209,7 +209,7 @@ impl Search<'_> {
     }
 
     /// Whether a search may still simulate all of these offers: beside a loop that takes every tick in parts they could cost more than all else.
-    fn affords(
+    pub(super) fn affords(
         &self,
         known: &[(Term, Vec<f64>)],
         (effect, places): (EffectRef, &[Place]),

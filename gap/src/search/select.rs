@@ -231,7 +231,8 @@ impl<'a> Search<'a> {
                 let pruned = self.prune(model)?;
                 let (terms, start): (Vec<Term>, Vec<Vec<f64>>) =
                     start_terms(&pruned).into_iter().unzip();
-                let effort = Effort { iterations: 6, tolerance: 3.0e-3, ..self.effort() };
+                let iterations = if self.is_spent() { 3 } else { 6 };
+                let effort = Effort { iterations, tolerance: 3.0e-3, ..self.effort() };
                 Ok(Some(self.fit_model(terms, start.concat(), effort)?))
             }
             None => Ok(None),
@@ -376,7 +377,9 @@ impl<'a> Search<'a> {
             return self.fit_model(terms, values, Effort { iterations: 0, ..effort });
         }
         let model = self.fit_model(terms, start.clone(), effort)?;
+        let model = self.every_pair(model, effort)?;
         let (model, start) = self.without_runaways(model, start, left, effort)?;
+        let model = self.resonating_alike(model, left, effort)?;
         let model = self.other_variety(model, effort)?;
         let model = self.other_law(model, &start, effort)?;
         let model = self.further_mode(model, effort)?;

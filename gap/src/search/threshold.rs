@@ -13,6 +13,11 @@ use crate::fitting::model::{Term, knobs_of};
 use crate::search::select::Search;
 use crate::session::scene::{Stack, Wanted};
 
+/// Where a contact opens: a stage that is hardly there shows it only from close by.
+const CONTACT: &str = "contact_m";
+/// Multiples of the best setting of the screen that are tried, which are twice as far apart and more.
+const ABOUT: [f64; 10] = [1.0, 0.5, 0.62, 0.75, 0.88, 1.15, 1.35, 1.6, 1.85, 2.2];
+
 impl Search<'_> {
     /// Start values of `effect`, one set a place: those given, or the setting of the screen that leaves least beside the `known` terms
     /// where those given leave more than without the effect.
@@ -42,6 +47,7 @@ impl Search<'_> {
         if too_far.is_empty() {
             return Ok(starts);
         }
+        let telling = self.telling(&stacks[0]);
         let offers = settings(effect, &self.ranges);
         let rigs = offers
             .iter()
@@ -58,6 +64,18 @@ impl Search<'_> {
                 starts[p].clone_from(offer);
             }
         }
-        Ok(starts)
+        let Some(contact) = effect.info().parameters.iter().position(|p| p.name == CONTACT) else {
+            return Ok(starts);
+        };
+        let about = |start: &Vec<f64>| {
+            let moved = |ratio: f64| {
+                let mut values = start.clone();
+                values[contact] *= ratio;
+                values
+            };
+            ABOUT.map(moved).to_vec()
+        };
+        let offers: Vec<Vec<Vec<f64>>> = starts.iter().map(about).collect();
+        self.best_of_offers(known, (effect, places), &offers, &telling)
     }
 }

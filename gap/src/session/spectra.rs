@@ -178,8 +178,9 @@ pub(crate) fn push_apart(known: &mut Vec<f64>, hz: f64) {
 }
 
 /// Where each axis answers most beyond its model, likeliest first: the peak of the ratio of measured to simulated power, where the
-/// simulation moves by more than the noise, and the strongest line of what the model leaves, where it rings.
-pub(crate) fn resonances(scene: &Scene, raw: &Stack) -> Vec<Vec<f64>> {
+/// simulation moves by more than the noise, and the strongest line of what the model leaves, where it rings. Recordings that are slower than
+/// the loop, of `loop_hz`, may show the alias of a faster one: that comes last.
+pub(crate) fn resonances(scene: &Scene, raw: &Stack, loop_hz: f64) -> Vec<Vec<f64>> {
     let axes = scene.position_noise.len();
     let mut answers: Vec<BTreeMap<i64, (f64, f64)>> = vec![BTreeMap::new(); axes];
     let mut rings: Vec<(f64, f64)> = vec![(0.0, 0.0); axes];
@@ -235,6 +236,10 @@ pub(crate) fn resonances(scene: &Scene, raw: &Stack) -> Vec<Vec<f64>> {
             let mut found: Vec<f64> = peak(cells).into_iter().collect();
             if power > 0.0 {
                 push_apart(&mut found, ring_hz);
+                let beyond_hz = fastest - ring_hz;
+                if beyond_hz > ring_hz && beyond_hz < 0.5 * loop_hz {
+                    push_apart(&mut found, beyond_hz);
+                }
             }
             found
         })
