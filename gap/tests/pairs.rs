@@ -117,3 +117,11 @@ fn a_limit_that_only_steps_reach_is_found_beside_a_gain() {
         |name: &str| gain.effect == name || gain.indistinguishable_from.iter().any(|e| e == name);
     assert!(could_be("sensor-gain"), "{gain:?}");
 }
+
+#[test]
+fn an_axis_has_a_cause_of_its_own_where_that_takes_fewer_numbers() {
+    // A stiffness that grows has four numbers, and the third axis, of another gain, makes use of one of them.
+    let diagnosis = drawn(21212, 15, &["stiffness-hardening", "sensor-gain"]);
+    let named = [("stiffness-hardening", &[1, 2][..]), ("sensor-gain", &[3])];
+    assert_explained(&diagnosis, &named);
+}

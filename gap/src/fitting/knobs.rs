@@ -273,7 +273,7 @@ pub(crate) fn keep_laws(knobs: &mut [Knob], values: &[f64]) {
 }
 
 /// Fastest mode that is told from inertia, as a share of the sample rate.
-const FASTEST_MODE: f64 = 0.35;
+pub(crate) const FASTEST_MODE: f64 = 0.35;
 
 /// ... of a further mode beside one that is: a stage with one has others beyond what samples tell.
 const FASTEST_FURTHER_MODE: f64 = 1.0;

@@ -73,6 +73,22 @@ impl Model {
         self.fit.knobs.iter().filter(counts).count()
     }
 
+    /// Whether every effect of it keeps to axes of its own, and it has what `wider` has on fewer of these axes: a gauge of another gain where the
+    /// wider one has a stiffness that grows, of four numbers, and is none of them but the gain.
+    pub(crate) fn splits(&self, wider: &Model) -> bool {
+        let axes = |model: &Model| model.terms.iter().flat_map(Term::axes).collect::<Vec<_>>();
+        let (mut own, mut all) = (axes(self), axes(wider));
+        own.sort_unstable();
+        all.sort_unstable();
+        let is_kept = |term: &Term| {
+            let has = |own: &&Term| {
+                own.name() == term.name() && own.places.iter().all(|p| term.places.contains(p))
+            };
+            self.terms.iter().any(|own| has(&own))
+        };
+        own == all && own.windows(2).all(|two| two[0] != two[1]) && wider.terms.iter().all(is_kept)
+    }
+
     /// Whether every effect is one number at each place, or one beside which others only tell varieties apart.
     pub(crate) fn is_plain(&self) -> bool {
         self.terms.iter().all(|term| is_plain(term.effect))

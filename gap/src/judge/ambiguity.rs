@@ -15,6 +15,8 @@ pub(crate) const NOISE_MARGIN: f64 = 25.0;
 /// A rival that leaves no more than this multiple of what the chosen model leaves is not told apart: a misfit of that size is a
 /// matter of form, not of kind. Where it saves less than it leaves, of what it saves.
 const LEFTOVER_MARGIN: f64 = 0.5;
+/// Share of what the chosen model leaves by which rivals do not differ in rank.
+const LEVEL: f64 = 0.01;
 /// Most rivals that are worth naming.
 const MOST_RIVALS: usize = 2;
 
@@ -32,7 +34,7 @@ pub struct Standings {
 pub struct CauseStanding {
     /// Probability among all that were tried.
     pub confidence: f64,
-    /// Names, nearest first.
+    /// Names, nearest first; those that noise alone ranks by what the cause is known to be confused with.
     pub rivals: Vec<String>,
 }
 
@@ -89,11 +91,13 @@ fn standing(search: &Search, model: &Model, term: usize) -> Standing {
             rivals.push((behind, instead.name(), rival.clone()));
         }
     }
-    // Among those that noise alone ranks, what the cause is known to be confused with comes first.
+    // Among those that noise alone ranks, or a hundredth of what all of them leave, what the cause is known to be confused with comes first.
+    let level = NOISE_MARGIN + LEVEL * left;
     let alike = model.terms[term].effect.info().confused_with;
-    let rank = |(behind, name, _): &(f64, &str, Model)| {
-        let is_level = *behind < NOISE_MARGIN;
-        (!is_level, is_level && !alike.contains(name))
+    let rank = |(behind, name, _): &(f64, &str, Model)| match *behind {
+        behind if behind < -level => 0,
+        behind if behind < level => 1 + u8::from(!alike.contains(name)),
+        _ => 3,
     };
     rivals.sort_by(|a, b| rank(a).cmp(&rank(b)).then(a.0.total_cmp(&b.0)));
     rivals.truncate(MOST_RIVALS);

@@ -13,7 +13,7 @@ use crate::Error;
 use crate::fitting::knobs::{Knob, Target, axes_seen};
 use crate::judge::strangers::Masked;
 use crate::search::found::{Found, keep};
-use crate::search::select::WORTH_ABSOLUTE;
+use crate::search::worth::WORTH_ABSOLUTE;
 use crate::session::floor::Kind;
 use crate::session::scene::{Channel, Scene, Stack};
 

@@ -13,7 +13,8 @@ use crate::Error;
 use crate::fitting::knobs::{EffectRef, axes_seen};
 use crate::fitting::model::{Model, Term, start_terms};
 use crate::search::found::{Found, keep};
-use crate::search::select::{Search, WORTH_ABSOLUTE};
+use crate::search::select::Search;
+use crate::search::worth::WORTH_ABSOLUTE;
 use crate::session::scene::{Channel, Scene, Stack, Wanted, dot};
 
 /// Share of the gap that causes have to leave before a stranger is looked for.

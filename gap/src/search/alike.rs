@@ -1,7 +1,9 @@
 //! Resonances of axes that are built alike.
 //!
 //! A fit finds a resonance only from near it, and an axis that rings little, or is braked, does not show where it is. A stage carries much
-//! the same on all of its axes: the one that was met best tells where the others are.
+//! the same on all of its axes: the one that was met best tells where the others are. Where gauges read several axes no residual is of one
+//! of them, and nothing is done. What effects that do not resonate make worse on an axis is left to pruning: beside more of them it may be
+//! mended.
 
 use host_sim::effects::Place;
 
@@ -9,17 +11,16 @@ use crate::Error;
 use crate::fitting::fit::Effort;
 use crate::fitting::model::{Model, Term, start_terms};
 use crate::search::resonance::Mode;
-use crate::search::select::{Search, WORTH_ABSOLUTE};
+use crate::search::select::Search;
+use crate::search::worth::WORTH_ABSOLUTE;
 use crate::session::scene::Stack;
 
-/// Effects that resonate. What others make worse on an axis is left to pruning: beside more of them it may be mended.
-const RESONATES: [&str; 2] = ["inertia", "second-mass"];
-/// Iterations for them once what ran away has been begun again, or has left, or another frequency does better.
+/// Iterations for a resonance once what ran away has been begun again, or has left, or another frequency does better.
 const RESTARTED: usize = 3;
 /// Share of its axis that a resonance leaves which may be a wrong one, and how many times that of the best axis.
 const LAGS: (f64, f64) = (0.02, 3.0);
-/// Frequencies that are tried there: so many steps of this share about the one of the best axis. Masses that differ by a fifth ring a tenth
-/// apart, and so do stiffnesses.
+/// Frequencies that are tried there: so many steps of this share about the one at which the values of the best axis ring. Masses that differ by a
+/// fifth ring a tenth apart, and so do stiffnesses.
 const ABOUT: (std::ops::RangeInclusive<i32>, f64) = (-16..=16, 0.01);
 
 impl Search<'_> {
@@ -34,8 +35,7 @@ impl Search<'_> {
         left: &Stack,
         effort: Effort,
     ) -> Result<(Model, Vec<f64>), Error> {
-        let resonates = |term: &&Term| RESONATES.contains(&term.name());
-        let Some(last) = model.terms.last().filter(resonates) else { return Ok((model, begun)) };
+        let Some((last, _)) = self.resonance(&model) else { return Ok((model, begun)) };
         let lost = |model: &Model, place: &Place| match *place {
             Place::Axis(axis) => {
                 let cost = |stack| self.scene.cost_on(stack, 1 << axis);
@@ -63,6 +63,7 @@ impl Search<'_> {
             values.copy_from_slice(lead);
         }
         let again = self.fit_model(model.terms.clone(), start, effort)?;
+        let again = if again.fit.cost < model.fit.cost { again } else { model.clone() };
         let away = ran_away(&again);
         if !away.contains(&true) {
             return Ok((again, begun));
@@ -83,6 +84,13 @@ impl Search<'_> {
         Ok((self.fit_model(terms, start.concat(), effort)?, begun))
     }
 
+    /// The last effect of a model, if it resonates, with what sets its frequency at each place.
+    fn resonance<'m>(&self, model: &'m Model) -> Option<(&'m Term, Vec<Mode>)> {
+        let last = model.terms.last().filter(|_| self.nominal.output_map.is_none())?;
+        let mode = |place: &Place| Mode::of(last.name(), &self.nominal.axes[place.on()]);
+        Some((last, last.places.iter().map(mode).collect::<Option<_>>()?))
+    }
+
     /// `model` with the resonances of its last effect that leave much of their axis at the frequency that does best there, about the one of
     /// the axis that was met best, if that leaves less. `left`: what there was without the effect.
     pub(crate) fn resonating_alike(
@@ -91,31 +99,23 @@ impl Search<'_> {
         left: &Stack,
         effort: Effort,
     ) -> Result<Model, Error> {
-        let resonates = |term: &&Term| RESONATES.contains(&term.name());
-        let Some(last) = model.terms.last().filter(resonates) else { return Ok(model) };
+        let Some((last, modes)) = self.resonance(&model) else { return Ok(model) };
         let nth = model.terms.len() - 1;
-        let modes: Option<Vec<Mode>> = last
-            .places
-            .iter()
-            .map(|place| Mode::of(last.name(), &self.nominal.axes[place.on()]))
-            .collect();
-        let Some(modes) = modes.filter(|modes| modes.len() > 1) else { return Ok(model) };
-        if model.fit.cost > effort.hopeless {
+        if modes.len() < 2 || model.fit.cost > effort.hopeless {
             return Ok(model);
         }
-        let open: Vec<(f64, f64)> = last
+        // What there was of each axis, and what is left of it.
+        let open: Vec<[f64; 2]> = last
             .places
             .iter()
-            .map(|place| {
-                let axis = 1 << place.on();
-                let now = self.left_on(&model.fit.stack, axis);
-                (now, now / self.left_on(left, axis).max(WORTH_ABSOLUTE))
-            })
+            .map(|place| [left, &model.fit.stack].map(|stack| self.left_on(stack, 1 << place.on())))
             .collect();
-        let by_share = |&a: &usize, &b: &usize| open[a].1.total_cmp(&open[b].1);
-        let Some(lead) = (0..open.len()).min_by(by_share) else { return Ok(model) };
-        let most = LAGS.0.max(LAGS.1 * open[lead].1);
-        let lags = |p: usize| open[p].1 > most && open[p].0 > WORTH_ABSOLUTE;
+        let share = |p: usize| open[p][1].max(0.0) / open[p][0].max(WORTH_ABSOLUTE);
+        let gained = |p: usize| open[p][0] - open[p][1];
+        let by_gain = |&a: &usize, &b: &usize| gained(a).total_cmp(&gained(b));
+        let Some(lead) = (0..open.len()).max_by(by_gain) else { return Ok(model) };
+        let most = LAGS.0.max(LAGS.1 * share(lead));
+        let lags = |p: usize| share(p) > most && open[p][1] > WORTH_ABSOLUTE;
         if !(0..open.len()).any(lags) {
             return Ok(model);
         }

@@ -11,7 +11,8 @@ use crate::fitting::fit::Effort;
 use crate::fitting::knobs::EffectRef;
 use crate::fitting::model::Term;
 use crate::search::screen::Gain;
-use crate::search::select::{CLOSED, MOSTLY_OPEN, Search, WORTH_ABSOLUTE, WORTH_OF_FIRST};
+use crate::search::select::{CLOSED, MOSTLY_OPEN, Search, WORTH_OF_FIRST};
+use crate::search::worth::WORTH_ABSOLUTE;
 use crate::session::scene::Stack;
 
 /// Effects that are fitted on an axis for its own sake.

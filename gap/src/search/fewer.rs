@@ -12,7 +12,8 @@ use crate::Error;
 use crate::fitting::fit::{Effort, cost};
 use crate::fitting::model::{Model, Term};
 use crate::judge::ambiguity::NOISE_MARGIN;
-use crate::search::select::{Search, WORTH_OF_GAP, WORTH_OF_LEFTOVER};
+use crate::search::select::Search;
+use crate::search::worth::{WORTH_OF_GAP, WORTH_OF_LEFTOVER};
 use crate::session::scene::Wanted;
 
 /// What a model may leave beyond the best one of its size to be looked at, as a share of what that leaves.

@@ -118,12 +118,16 @@ fn stands_elsewhere(search: &Search, model: Model) -> Result<Model, Error> {
         }
         let jobs: Vec<(&Rig, Wanted)> = rigs.iter().map(|r| (r, Wanted::ALL)).collect();
         let costs: Vec<f64> = search.scene.residuals(&jobs, held)?.iter().map(cost).collect();
-        let worst = (0..model.terms.len()).min_by(|&a, &b| costs[a + 1].total_cmp(&costs[b + 1]));
-        let Some(t) = worst.filter(|&t| costs[t + 1] < costs[0] - WORSE) else { break };
-        let without = search.scene.residuals_at(&rigs[t + 1], Wanted::ALL, search.include)?;
-        if costs[0] - costs[t + 1] < WORSE_OF_TAKEN * (cost(&without) - model.fit.cost) {
-            break;
+        let mut worst: Option<usize> = None;
+        for t in (0..model.terms.len()).filter(|t| costs[t + 1] < costs[0] - WORSE) {
+            let without = search.scene.residuals_at(&rigs[t + 1], Wanted::ALL, search.include)?;
+            let taken = cost(&without) - model.fit.cost;
+            let is_worst = worst.is_none_or(|worst| costs[t + 1] < costs[worst + 1]);
+            if is_worst && costs[0] - costs[t + 1] > WORSE_OF_TAKEN * taken {
+                worst = Some(t);
+            }
         }
+        let Some(t) = worst else { break };
         let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(&model)
             .into_iter()
             .enumerate()
@@ -346,8 +350,8 @@ fn reaches(rig: &Rig, term: &Term, axis: usize) -> bool {
     term.places.iter().any(|place| seen(place) >> axis & 1 == 1)
 }
 
-/// Effects that close more on axes that are not trusted than on those that are: what passes for something else here is not believed there.
-/// What closes little of an axis passes for nothing on it.
+/// Effects on axes that are not trusted and hold more of what the model closes than those that are: what passes for something else here is not
+/// believed there. On an axis that the model leaves open it passes for nothing.
 fn proxies(rig: &Rig, model: &Model, trusted: &[bool], gaps: &[AxisGap]) -> Vec<&'static str> {
     let is_proxy = |term: &&Term| {
         let mut energy = [0.0; 2];

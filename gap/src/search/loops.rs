@@ -104,8 +104,10 @@ impl Search<'_> {
         let bound: Vec<(u32, Model)> = own.into_iter().chain(beside).filter(|b| b.0 != 0).collect();
         let is_closed =
             |m: &Model| m.terms.len() < MOST_EFFECTS && accept::is_clean(self.scene, &m.fit.stack);
-        let is_late =
-            |m: &Model| m.fit.cost - self.noise < MOSTLY_CLOSED * self.gap && self.is_spent();
+        let is_late = |m: &Model| {
+            let is_closed = m.fit.cost - self.noise < MOSTLY_CLOSED * self.gap;
+            freed.is_none() && is_closed && self.is_spent()
+        };
         let is_done = |m: &Model| is_closed(m) || self.is_plainly_a_loop(m) || is_late(m);
         if bound.is_empty() || plain.as_ref().is_some_and(is_done) {
             return Ok(plain);
@@ -168,7 +170,7 @@ impl Search<'_> {
     pub(crate) fn two_with_any_loop(&mut self, plain: &Model) -> Result<Option<Model>, Error> {
         let left = |m: &Model| m.fit.cost - self.noise;
         let closed = CLOSED * self.gap;
-        if self.ranges.any_loop || left(plain) * MUCH_LESS < closed {
+        if self.ranges.any_loop || left(plain) * MUCH_LESS < closed || self.is_spent() {
             return Ok(None);
         }
         // Friction makes up for a law that the plain loop does not have.
@@ -187,8 +189,14 @@ impl Search<'_> {
         let Some(freed) = Some(freed?).filter(|freed| freed.fit.cost < line) else {
             return Ok(None);
         };
+        let known = self.tried.clone();
         let any = self.with_any_loop(Some(bound), Some(freed))?;
-        Ok(any.filter(|any| self.ranges.any_loop && any.fit.cost < line))
+        let any = any.filter(|any| self.ranges.any_loop && any.fit.cost < line);
+        if any.is_none() {
+            self.ranges.any_loop = false;
+            self.tried = known;
+        }
+        Ok(any)
     }
 
     /// Whether a model leaves next to nothing with a plain loop and nothing that bends as one does: another law would change no name.

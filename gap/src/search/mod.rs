@@ -6,7 +6,7 @@
 //! | the most promising ones alone, on all axes and on each one | [`select`], `each_axis` |
 //! | one more effect beside the best, up to three | `widen`, `compose`, `joint` |
 //! | where a fit starts that does not get there by itself | `resonance`, `alike`, `threshold`, `variety`, `further_mode`, `pairs` |
-//! | what is not worth fitting to the end | `few` |
+//! | what is not worth fitting to the end, and what is worth an effect more | `few`, `worth` |
 //! | other effects in the place of those chosen, fewer, none where they do nothing | `swap`, `trade`, `fewer`, `prune` |
 //! | loops of any law | `loops` |
 //! | the whole of it, checked on recordings held out | `found` |
@@ -31,3 +31,4 @@ mod threshold;
 mod trade;
 mod variety;
 mod widen;
+pub(crate) mod worth;

@@ -9,10 +9,12 @@ use crate::Error;
 use crate::fitting::fit::Effort;
 use crate::fitting::knobs::{axes_seen, places};
 use crate::fitting::model::{Model, Term, start_terms};
-use crate::search::select::{Search, WORTH_ABSOLUTE};
+use crate::search::prune::WORTH_OF_PLACE;
+use crate::search::select::Search;
 
 impl Search<'_> {
-    /// `model` with every pair of axes that have a gap, where several of its effects lie between axes, if that leaves less.
+    /// `model` with every pair that reaches an axis with a gap, where several of its effects lie between axes, if that leaves less by as much
+    /// as so many more places have to be worth.
     pub(crate) fn every_pair(&self, model: Model, effort: Effort) -> Result<Model, Error> {
         let is_between = |term: &Term| term.effect.info().scope != Scope::Axis;
         if model.terms.iter().filter(|term| is_between(term)).count() < 2
@@ -20,7 +22,7 @@ impl Search<'_> {
         {
             return Ok(model);
         }
-        let mut has_more = false;
+        let mut more = 0;
         let whole = |(mut term, mut values): (Term, Vec<f64>)| {
             if is_between(&term) {
                 let info = term.effect.info();
@@ -35,7 +37,7 @@ impl Search<'_> {
                     if is_loud(&place) && !term.places.contains(&place) {
                         term.places.push(place);
                         values.extend_from_slice(&none);
-                        has_more = true;
+                        more += 1;
                     }
                 }
             }
@@ -43,12 +45,12 @@ impl Search<'_> {
         };
         let (terms, start): (Vec<Term>, Vec<Vec<f64>>) =
             start_terms(&model).into_iter().map(whole).unzip();
-        if !has_more {
+        if more == 0 || self.is_spent() {
             return Ok(model);
         }
         let hopeless = model.fit.cost;
         let other = self.fit_model(terms, start.concat(), Effort { hopeless, ..effort })?;
-        let is_worth = other.fit.cost + WORTH_ABSOLUTE < model.fit.cost;
+        let is_worth = other.fit.cost + WORTH_OF_PLACE * f64::from(more) < model.fit.cost;
         Ok(if is_worth { other } else { model })
     }
 }

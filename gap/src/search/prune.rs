@@ -8,7 +8,8 @@ use crate::fitting::fit::Effort;
 use crate::fitting::knobs::axes_seen;
 use crate::fitting::model::{Model, Term};
 use crate::judge::accept;
-use crate::search::select::{Search, WORTH_ABSOLUTE, WORTH_OF_GAP};
+use crate::search::select::Search;
+use crate::search::worth::{WORTH_ABSOLUTE, WORTH_OF_GAP};
 use crate::session::scene::{Wanted, dot};
 
 /// A place of an effect must be worth this much cost to stay.

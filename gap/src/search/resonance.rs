@@ -9,10 +9,11 @@ use host_sim::rig::{Axis, Rig};
 
 use crate::Error;
 use crate::fitting::fit::rig_with;
-use crate::fitting::knobs::{EffectRef, axes_seen};
+use crate::fitting::knobs::{EffectRef, FASTEST_MODE, axes_seen};
 use crate::fitting::model::{Term, knobs_of};
 use crate::search::select::Search;
 use crate::session::scene::{Channel, Stack, Wanted, dot};
+use crate::session::work;
 
 /// Frequencies that are tried around a start, as steps beside it and their size: first the coarse ones, then between them.
 const SCANS: [(i32, f64); 2] = [(4, 0.02), (4, 0.0025)];
@@ -99,6 +100,11 @@ impl Mode {
                 parts.map(|part| [&part, &values[part.len()..]].concat()).collect()
             }
         }
+    }
+
+    /// Whether a fit may put the resonance at `hz`: a part that swings is held below a third of the sample rate.
+    fn holds(self, hz: f64, rate_hz: f64) -> bool {
+        matches!(self, Self::Mass { .. }) || hz < FASTEST_MODE * rate_hz
     }
 
     /// Whether values are a resonance at all: a screen that missed it takes away what mass there is.
@@ -189,7 +195,8 @@ impl Search<'_> {
                     if round > 0 {
                         return own.chain(around(&mode.rung(start), -reach..=reach)).collect();
                     }
-                    let seen = ranges.resonances_hz[places[p].on()].iter();
+                    let is_within = |hz: &&f64| mode.holds(**hz, ranges.rate_hz);
+                    let seen = ranges.resonances_hz[places[p].on()].iter().filter(is_within);
                     let seen = seen.flat_map(|&hz| mode.placed(effect, start, hz));
                     let seen: Vec<Vec<f64>> =
                         seen.flat_map(|there| around(&there, AROUND_SEEN)).collect();
@@ -219,11 +226,17 @@ impl Search<'_> {
         let many = offers.iter().map(Vec::len).max().unwrap_or(0);
         let rig = self.offered(known, (effect, places), offers, 0)?;
         let axes = places.iter().fold(0, |m, &p| m | axes_seen(self.nominal, effect, p));
-        let few = many >= MANY_OFFERS && telling.first.len() < telling.all.len();
-        let tracks = if few { &telling.first } else { &telling.all };
-        let ticks = tracks.iter().map(|&track| self.scene.tracks[track].len()).sum();
-        let step_s = 1.0 / self.ranges.rate_hz;
-        Ok(self.scene.work.affords((&rig, axes), ticks, step_s, many))
+        let price = |tracks: &[usize], times: usize| -> u64 {
+            let tracks = tracks.iter().map(|&track| &self.scene.tracks[track]);
+            tracks.map(|t| work::price(&rig, axes, t.len() * times, 1.0 / t.rate_hz)).sum()
+        };
+        let is_ranked = many >= MANY_OFFERS && telling.first.len() < telling.all.len();
+        let price = if is_ranked {
+            price(&telling.first, many) + price(&telling.all, many.div_ceil(KEPT_OF_MANY))
+        } else {
+            price(&telling.all, many)
+        };
+        Ok(self.scene.work.affords(price))
     }
 
     /// For every place the one of its offers that leaves least of some recordings, beside the `known` terms. Many offers go through the

@@ -15,12 +15,12 @@ use crate::session::scene::{Stack, Wanted};
 
 /// Where a contact opens: a stage that is hardly there shows it only from close by.
 const CONTACT: &str = "contact_m";
-/// Multiples of the best setting of the screen that are tried, which are twice as far apart and more.
+/// Multiples of its distance from the near end of the travel that are tried about the best setting of the screen, which are 1.5 to 4 times apart.
 const ABOUT: [f64; 10] = [1.0, 0.5, 0.62, 0.75, 0.88, 1.15, 1.35, 1.6, 1.85, 2.2];
 
 impl Search<'_> {
     /// Start values of `effect`, one set a place: those given, or the setting of the screen that leaves least beside the `known` terms
-    /// where those given leave more than without the effect.
+    /// where those given leave more than without the effect, with a contact moved to where it does best about there.
     pub(crate) fn within_threshold(
         &self,
         known: &[(Term, Vec<f64>)],
@@ -55,7 +55,7 @@ impl Search<'_> {
             .collect::<Result<Vec<_>, _>>()?;
         let jobs: Vec<_> = rigs.iter().map(|rig| (rig, wanted)).collect();
         let stacks = self.scene.residuals(&jobs, self.include)?;
-        for p in too_far {
+        for &p in &too_far {
             let nearest = stacks
                 .iter()
                 .zip(&offers)
@@ -67,15 +67,17 @@ impl Search<'_> {
         let Some(contact) = effect.info().parameters.iter().position(|p| p.name == CONTACT) else {
             return Ok(starts);
         };
-        let about = |start: &Vec<f64>| {
-            let moved = |ratio: f64| {
+        let (near_m, _) = self.ranges.travel_m;
+        let about = |(p, start): (usize, &Vec<f64>)| {
+            let moved = |ratio: &f64| {
                 let mut values = start.clone();
-                values[contact] *= ratio;
+                values[contact] = near_m + ratio * (values[contact] - near_m);
                 values
             };
-            ABOUT.map(moved).to_vec()
+            let ratios = if too_far.contains(&p) { &ABOUT[..] } else { &ABOUT[..1] };
+            ratios.iter().map(moved).collect()
         };
-        let offers: Vec<Vec<Vec<f64>>> = starts.iter().map(about).collect();
+        let offers: Vec<Vec<Vec<f64>>> = starts.iter().enumerate().map(about).collect();
         self.best_of_offers(known, (effect, places), &offers, &telling)
     }
 }

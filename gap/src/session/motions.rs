@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use host_sim::motion::{self, AxisMotion, Motion, Upstream, move_axes};
-use host_sim::rig::Rig;
+use host_sim::rig::{Rig, Setting};
 use host_sim::{Axes, Initial, Input, Output, SimError, Stretch, simulate};
 use rayon::prelude::*;
 
@@ -49,14 +49,21 @@ impl Motions {
         Self { kept: Mutex::default(), most }
     }
 
-    /// The motion of an axis (from 0) in a recording, if it is kept.
-    pub(crate) fn get(&self, (track, axis): (usize, usize), key: &Key) -> Option<AxisMotion> {
+    /// The motion of an axis (from 0) in a recording, if it is kept. `again`: it is about to be kept for the next time; jobs that run beside
+    /// each other leave the order alone, or what is kept would depend on which of them came first.
+    pub(crate) fn get(
+        &self,
+        (track, axis): (usize, usize),
+        key: &Key,
+        again: bool,
+    ) -> Option<AxisMotion> {
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
         let here = kept.get_mut(&(track, axis))?;
         let at = here.iter().rposition(|(known, _)| known == key)?;
-        let entry = here.remove(at)?;
-        let motion = entry.1.clone();
-        here.push_back(entry);
+        let motion = here.get(at)?.1.clone();
+        if again && let Some(entry) = here.remove(at) {
+            here.push_back(entry);
+        }
         Some(motion)
     }
 
@@ -101,8 +108,9 @@ impl Scene {
                 needed.contains(axis).then(|| Key { runs_on, upstream: Upstream::of(rig, axis) })
             })
             .collect();
-        let recall =
-            |(axis, key): (usize, &Option<Key>)| self.motions.get((track, axis), key.as_ref()?);
+        let recall = |(axis, key): (usize, &Option<Key>)| {
+            self.motions.get((track, axis), key.as_ref()?, keep)
+        };
         let mut known: Motion = keys.iter().enumerate().map(recall).collect();
         let missing = (0..keys.len())
             .filter(|&axis| keys[axis].is_some() && known[axis].is_none())
@@ -172,9 +180,10 @@ impl Scene {
 }
 
 /// Axes of a mask in parts that move by themselves, so that no core waits for the other at the end of a session: all of them where springs
-/// may tie some together.
+/// tie some together.
 fn together(rig: &Rig, axes: u32) -> Vec<u32> {
-    let is_tied = rig.effects.iter().any(|s| s.effect.info().name == "stiffness-coupling");
+    let ties = |s: &Setting| s.effect.info().name == "stiffness-coupling" && s.is_active();
+    let is_tied = rig.effects.iter().any(ties);
     if is_tied && axes != 0 {
         return vec![axes];
     }
@@ -207,7 +216,7 @@ mod tests {
         let rig = Rig::named("handley").unwrap();
         let motions = Motions::new(10);
         motions.keep((0, 0), key(&rig, 0), motion());
-        let finds = |rig: &Rig| motions.get((0, 0), &key(rig, 0)).is_some();
+        let finds = |rig: &Rig| motions.get((0, 0), &key(rig, 0), true).is_some();
         assert!(finds(&changed("sensor-offset", Place::Axis(0), "offset_m", 1.0e-8)));
         assert!(finds(&changed("drive-gain", Place::Axis(1), "ratio", 0.98)));
         assert!(!finds(&changed("drive-gain", Place::Axis(0), "ratio", 0.98)));
@@ -216,8 +225,8 @@ mod tests {
         let mut heavy = rig.clone();
         heavy.axes[0].mechanism.mass_kg += 0.1;
         assert!(!finds(&heavy));
-        assert!(motions.get((0, 1), &key(&rig, 0)).is_none());
-        assert!(motions.get((1, 0), &key(&rig, 0)).is_none());
+        assert!(motions.get((0, 1), &key(&rig, 0), true).is_none());
+        assert!(motions.get((1, 0), &key(&rig, 0), true).is_none());
     }
 
     #[test]
@@ -237,10 +246,13 @@ mod tests {
         let [first, second, third] = rigs.map(|rig| key(&rig, 0));
         motions.keep((0, 0), first.clone(), motion());
         motions.keep((0, 0), second.clone(), motion());
-        assert!(motions.get((0, 0), &first).is_some());
+        assert!(motions.get((0, 0), &first, true).is_some());
         motions.keep((0, 0), third.clone(), motion());
-        assert!(motions.get((0, 0), &first).is_some() && motions.get((0, 0), &third).is_some());
-        assert!(motions.get((0, 0), &second).is_none());
+        assert!(
+            motions.get((0, 0), &first, true).is_some()
+                && motions.get((0, 0), &third, true).is_some()
+        );
+        assert!(motions.get((0, 0), &second, true).is_none());
         assert_eq!(Motions::new(10 * MOST_SAMPLES).most, 1);
     }
 }

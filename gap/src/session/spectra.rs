@@ -183,7 +183,8 @@ pub(crate) fn push_apart(known: &mut Vec<f64>, hz: f64) {
 pub(crate) fn resonances(scene: &Scene, raw: &Stack, loop_hz: f64) -> Vec<Vec<f64>> {
     let axes = scene.position_noise.len();
     let mut answers: Vec<BTreeMap<i64, (f64, f64)>> = vec![BTreeMap::new(); axes];
-    let mut rings: Vec<(f64, f64)> = vec![(0.0, 0.0); axes];
+    // Frequency, power, and the rate of the recording.
+    let mut rings: Vec<(f64, f64, f64)> = vec![(0.0, 0.0, 0.0); axes];
     let fastest = scene.tracks.iter().map(|track| track.rate_hz).fold(0.0, f64::max);
     for (channel, row) in scene.channels.iter().zip(raw) {
         let Some(row) = row.as_ref().filter(|r| channel.kind == Kind::Position && r.len() >= 512)
@@ -215,7 +216,7 @@ pub(crate) fn resonances(scene: &Scene, raw: &Stack, loop_hz: f64) -> Vec<Vec<f6
             for (k, &p) in left.iter().enumerate() {
                 let hz = k as f64 * step;
                 if hz > SLOWEST_MODE_HZ && p > ring.1.max(RINGS * noise) {
-                    *ring = (hz, p);
+                    *ring = (hz, p, track.rate_hz);
                 }
             }
         }
@@ -232,13 +233,12 @@ pub(crate) fn resonances(scene: &Scene, raw: &Stack, loop_hz: f64) -> Vec<Vec<f6
     answers
         .into_iter()
         .zip(rings)
-        .map(|(cells, (ring_hz, power))| {
+        .map(|(cells, (ring_hz, power, rate_hz))| {
             let mut found: Vec<f64> = peak(cells).into_iter().collect();
             if power > 0.0 {
                 push_apart(&mut found, ring_hz);
-                let beyond_hz = fastest - ring_hz;
-                if beyond_hz > ring_hz && beyond_hz < 0.5 * loop_hz {
-                    push_apart(&mut found, beyond_hz);
+                if rate_hz - ring_hz < 0.5 * loop_hz {
+                    push_apart(&mut found, rate_hz - ring_hz);
                 }
             }
             found

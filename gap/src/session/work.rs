@@ -31,10 +31,8 @@ const HEAVY: [(&str, u64); 10] = [
 ];
 /// The same for one without.
 const PLAIN: u64 = 10;
-/// Effects that take a tick in parts,
+/// Effects that take a tick in parts: all of them where something asks for every part of every tick, however calm.
 const IN_PARTS: [&str; 2] = ["inertia", "second-mass"];
-/// and effects that ask for every part of every tick, however calm.
-const EVERY_TICK: [&str; 2] = ["hysteresis-rate", "stage-drag"];
 
 /// What was simulated, and how much there is.
 #[derive(Debug)]
@@ -59,33 +57,26 @@ impl Work {
 
     /// Count a simulation of the axes in a mask over so many ticks of `step_s`.
     pub(crate) fn count(&self, rig: &Rig, axes: u32, ticks: usize, step_s: f64) {
-        self.spent.fetch_add(of_axes(rig, axes, step_s) * ticks as u64, Ordering::Relaxed);
+        self.spent.fetch_add(price(rig, axes, ticks, step_s), Ordering::Relaxed);
     }
 
-    /// Whether a search may still simulate the axes in a mask `times` over so many ticks of `step_s`.
-    pub(crate) fn affords(
-        &self,
-        (rig, axes): (&Rig, u32),
-        ticks: usize,
-        step_s: f64,
-        times: usize,
-    ) -> bool {
-        let more = of_axes(rig, axes, step_s) * ticks as u64 * times as u64;
-        self.allows(self.spent.load(Ordering::Relaxed) + more)
+    /// Whether a search may still spend so much, in tenths of plain ticks.
+    pub(crate) fn affords(&self, price: u64) -> bool {
+        self.spent.load(Ordering::Relaxed) + price <= self.most()
     }
 
     /// Whether a search has spent what it may, asked where more could be tried.
     pub(crate) fn is_spent(&self) -> bool {
-        !self.allows(self.spent.load(Ordering::Relaxed))
-    }
-
-    /// Whether so much may be spent. If not, something is left out.
-    fn allows(&self, tenths: u64) -> bool {
-        let allows = tenths <= PLAIN * (MOST_PASSES * self.session + MOST_BEYOND);
-        if !allows {
+        let is_spent = self.spent.load(Ordering::Relaxed) > self.most();
+        if is_spent {
             self.ended.store(true, Ordering::Relaxed);
         }
-        allows
+        is_spent
+    }
+
+    /// What may be spent, in tenths of plain ticks of an axis.
+    fn most(&self) -> u64 {
+        PLAIN * (MOST_PASSES * self.session + MOST_BEYOND)
     }
 
     /// Passes that were spent, if something was not tried because of them.
@@ -99,22 +90,25 @@ impl Work {
     }
 }
 
-/// What a tick of the axes in a mask takes.
-fn of_axes(rig: &Rig, axes: u32, step_s: f64) -> u64 {
+/// What a simulation of the axes in a mask takes over so many ticks of `step_s`, in tenths of plain ticks of an axis.
+pub(crate) fn price(rig: &Rig, axes: u32, ticks: usize, step_s: f64) -> u64 {
     let on = (0..rig.axes.len()).filter(|on| axes >> on & 1 == 1);
-    on.map(|on| of_axis(rig, on, step_s)).sum()
+    on.map(|on| of_axis(rig, on, step_s)).sum::<u64>() * ticks as u64
 }
 
 /// What a tick of an axis takes.
 fn of_axis(rig: &Rig, on: usize, step_s: f64) -> u64 {
     let heavy = |name: &str| HEAVY.iter().find(|(n, _)| *n == name).map_or(0, |(_, more)| *more);
-    let here = rig.effects.iter().filter(|s| s.place.on() == on);
+    let here = rig.effects.iter().filter(|s| s.place.on() == on && s.is_active());
     let names: Vec<&str> = here.map(|s| s.effect.info().name).collect();
-    let has = |wanted: &[&str]| names.iter().any(|name| wanted.contains(name));
     let sum = |names: &mut dyn Iterator<Item = &&str>| names.map(|name| heavy(name)).sum::<u64>();
-    if has(&IN_PARTS) && has(&EVERY_TICK) {
-        let parts = substeps(&Model::new(rig, step_s).axes[on], step_s) as u64;
-        return parts * (PLAIN + sum(&mut names.iter().filter(|name| !IN_PARTS.contains(name))));
+    if names.iter().any(|name| IN_PARTS.contains(name)) {
+        let model = &Model::new(rig, step_s).axes[on];
+        if model.follows_every_tick() {
+            let parts = substeps(model, step_s) as u64;
+            return parts
+                * (PLAIN + sum(&mut names.iter().filter(|name| !IN_PARTS.contains(name))));
+        }
     }
     PLAIN + sum(&mut names.iter())
 }

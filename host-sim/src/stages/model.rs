@@ -231,6 +231,16 @@ impl Model {
 }
 
 impl AxisModel {
+    /// Whether it has to be followed tick by tick, however calm: what depends on the current changes in every tick, a loss of strain goes by
+    /// the ways of two steps of one length, and some forces go with time or speed.
+    pub fn follows_every_tick(&self) -> bool {
+        let PiezoModel { strain_loss, rate, resistance_ohm, .. } = &self.piezo;
+        strain_loss.is_some()
+            || rate.is_some()
+            || *resistance_ohm != 0.0
+            || self.mechanism.forces.iter().any(|force| force.goes_with_time())
+    }
+
     fn nominal(axis: &Axis) -> Self {
         let piezo = &axis.piezo;
         Self {

@@ -12,7 +12,7 @@ use super::amplifier::AmplifierSim;
 use super::creep::CreepSim;
 use super::hysteresis::{Branch, Elements, SlipElements};
 use super::mechanism::LinearMechanism;
-use super::model::{AxisModel, Force, PiezoModel};
+use super::model::{AxisModel, Force};
 use crate::start::{Initial, Memory};
 
 pub use alone::Load;
@@ -75,11 +75,7 @@ impl AxisSim {
         let added = stiffening(&model);
         let shape_s = model.amplifier.time_constant_s;
         let Steps { mechanism, creep, ticks, .. } = Steps::new(&model, step_s, shape_s, &added);
-        // What depends on the current changes in every tick, and a loss of strain goes by the ways of two steps of one length.
-        let PiezoModel { strain_loss, rate, resistance_ohm, .. } = &model.piezo;
-        let with_current = strain_loss.is_some() || rate.is_some() || *resistance_ohm != 0.0;
-        let with_time = model.mechanism.forces.iter().any(|force| force.goes_with_time());
-        let leap = leap.filter(|_| !with_current && !with_time);
+        let leap = leap.filter(|_| !model.follows_every_tick());
         // Over several calm ticks an amplifier goes straight.
         let other = leap.map(|ticks| {
             let shape_s = if ticks > 1 { f64::INFINITY } else { shape_s };

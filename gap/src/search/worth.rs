@@ -1,0 +1,82 @@
+//! When one more effect, or another one, is worth it.
+
+use crate::fitting::model::Model;
+use crate::judge::accept;
+use crate::judge::ambiguity::NOISE_MARGIN;
+use crate::search::select::Search;
+use crate::session::scene::Stack;
+
+/// A further effect must remove this share of what the model before it leaves.
+pub(crate) const WORTH_OF_LEFTOVER: f64 = 0.35;
+/// ... and this share of the whole gap (whitened).
+pub(crate) const WORTH_OF_GAP: f64 = 0.01;
+/// ... or nearly all of what is left, if it is less than that.
+const NEARLY_ALL: f64 = 0.7;
+/// ... or this share of what is left on an axis,
+const CLOSES_AXIS: f64 = 0.9;
+/// where that is more than this multiple of the noise energy.
+const CLEARLY: f64 = 1.0;
+/// ... and this much cost in all, against noise.
+pub(crate) const WORTH_ABSOLUTE: f64 = 60.0;
+
+impl Search<'_> {
+    /// Whether a model of one more effect is worth it. One that has each effect on fewer axes may even be the plainer one.
+    pub(crate) fn is_worth_more(&self, smaller: &Model, larger: &Model) -> bool {
+        let saved = smaller.fit.cost - larger.fit.cost;
+        saved > self.worth_of_further(smaller.fit.cost - self.noise)
+            || self.closes_much(smaller, larger, saved)
+            || self.closes_an_axis(smaller, larger, saved)
+            || (larger.numbers() <= smaller.numbers()
+                && saved > self.worth_of_change(smaller.fit.cost - self.noise))
+            || (larger.numbers() < smaller.numbers()
+                && saved > NOISE_MARGIN
+                && larger.splits(smaller))
+    }
+
+    /// Whether a model takes nearly everything off what a smaller one leaves on one axis, more than its noise. Beside a large effect on all
+    /// axes that is little.
+    fn closes_an_axis(&self, smaller: &Model, larger: &Model, saved: f64) -> bool {
+        let [before, after] = [smaller, larger].map(|m| accept::gaps(self.scene, &m.fit.stack));
+        // What an effect of another law leaves is its own.
+        let is_of_one_law = |axis: usize| {
+            let mut here = smaller.terms.iter().filter(|term| term.axes().contains(&axis));
+            here.all(|term| !accept::has_many_laws(term.name()))
+        };
+        saved > WORTH_ABSOLUTE
+            && before.iter().zip(&after).enumerate().any(|(axis, (before, after))| {
+                before.ratio > CLEARLY
+                    && after.ratio < (1.0 - CLOSES_AXIS) * before.ratio
+                    && is_of_one_law(axis)
+            })
+    }
+
+    /// Cost that one more effect must remove where `leftover` is left.
+    pub(crate) fn worth_of_further(&self, leftover: f64) -> f64 {
+        let fair = (WORTH_OF_LEFTOVER * leftover).max(WORTH_OF_GAP * self.gap);
+        // A small effect beside a large one: it must account for nearly all that the large one leaves.
+        let rest = (NEARLY_ALL * leftover).max(0.1 * WORTH_OF_GAP * self.gap);
+        WORTH_ABSOLUTE.max(fair.min(rest))
+    }
+
+    /// Whether a model takes as much off what a smaller one leaves in nanometres as is asked for in cost. A constant is many nanometres
+    /// and little cost: there is one number of it in a recording, and thousands of the noise that all models leave.
+    fn closes_much(&self, smaller: &Model, larger: &Model, saved: f64) -> bool {
+        let left = |stack| self.scene.excess(stack);
+        let (whole, before) = (left(&self.base), left(&smaller.fit.stack));
+        let closed = before - left(&larger.fit.stack);
+        saved > WORTH_ABSOLUTE
+            && closed > WORTH_OF_LEFTOVER * before
+            && closed > WORTH_OF_GAP * whole
+    }
+
+    /// Whether a model that leaves `there` of some recordings may do so even if it leaves nothing of the others.
+    pub(crate) fn may_close_much(&self, smaller: &Model, there: &Stack) -> bool {
+        let before = self.scene.excess(&smaller.fit.stack);
+        before - self.scene.excess(there) > WORTH_OF_LEFTOVER * before
+    }
+
+    /// Cost that another effect must remove in place of one, where `leftover` is left.
+    pub(crate) fn worth_of_change(&self, leftover: f64) -> f64 {
+        WORTH_ABSOLUTE.max(WORTH_OF_LEFTOVER * leftover).max(0.1 * WORTH_OF_GAP * self.gap)
+    }
+}
