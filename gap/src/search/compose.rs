@@ -25,16 +25,29 @@ struct Part {
 
 impl Search<'_> {
     /// Fit the composition of exactly `size` effects that promises to leave least, if that is less than the best model of as many or fewer
-    /// leaves.
+    /// leaves, and the best one of those with every effect on axes of its own, if that is less than fewer leave: two effects together on an
+    /// axis may leave less and yet not be worth it.
     pub(crate) fn compose(&mut self, size: usize) -> Result<(), Error> {
-        let parts: Vec<Vec<Part>> =
-            (0..self.nominal.axes.len()).map(|axis| self.parts(axis, size)).collect();
+        self.compose_of(size, size, |_| true)?;
+        self.compose_of(size, size - 1, |part| part.names.len() < 2)
+    }
+
+    /// Fit the composition of exactly `size` effects from those parts that are `wanted`, if it promises less than models of at most `most`
+    /// effects leave.
+    fn compose_of(
+        &mut self,
+        size: usize,
+        most: usize,
+        wanted: impl Fn(&Part) -> bool,
+    ) -> Result<(), Error> {
+        let of_axis = |axis| self.parts(axis, size).into_iter().filter(&wanted).collect();
+        let parts: Vec<Vec<Part>> = (0..self.nominal.axes.len()).map(of_axis).collect();
         let Some((price, picked)) = cheapest(&parts, size) else { return Ok(()) };
         let price_of = |best: Model| {
             let terms: usize = best.terms.iter().map(|t| t.places.len()).sum();
             best.fit.cost + NOISE_MARGIN * terms as f64
         };
-        let known = (1..=size).filter_map(|n| self.best_of(n)).map(price_of);
+        let known = (1..=most).filter_map(|n| self.best_of(n)).map(price_of);
         let known = known.fold(f64::INFINITY, f64::min);
         if price >= known - NOISE_MARGIN {
             return Ok(());
@@ -45,6 +58,9 @@ impl Search<'_> {
             join_terms(&mut terms, model.part(|_, here| here.places[0] == Place::Axis(axis)));
         }
         let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = terms.into_iter().unzip();
+        if self.tried.iter().any(|known| has_same_places(known, &terms)) {
+            return Ok(());
+        }
         let effort = Effort { iterations: 4, tolerance: 2.0e-2, ..self.effort() };
         let model = self.fit_model(terms, start.concat(), effort)?;
         self.remember(model);
@@ -84,6 +100,19 @@ impl Search<'_> {
         parts.sort_by(|a, b| a.price.total_cmp(&b.price));
         parts
     }
+}
+
+/// Whether a model has these terms, at the same places.
+fn has_same_places(model: &Model, terms: &[Term]) -> bool {
+    let has = |wanted: &Term| {
+        let is_it = |term: &Term| {
+            term.name() == wanted.name()
+                && term.places.len() == wanted.places.len()
+                && wanted.places.iter().all(|place| term.places.contains(place))
+        };
+        model.terms.iter().any(is_it)
+    };
+    model.terms.len() == terms.len() && terms.iter().all(has)
 }
 
 /// Of all choices of one part an axis, with `size` effects in all, the one with the lowest sum of prices.

@@ -16,6 +16,8 @@ const MASS: &str = "second-mass";
 const MUCH_LESS: f64 = 0.3;
 /// Share of the gap that the first part leaves at most.
 const MOST: f64 = 0.5;
+/// ... and as a multiple of what the best model leaves: two parts that swing would not catch up with it.
+const BEHIND: f64 = 3.0;
 /// Mass of the further part that is tried, as a share of the first one's.
 const SHARES: [f64; 2] = [0.1, 0.4];
 /// Its damping ratio.
@@ -32,9 +34,11 @@ impl Search<'_> {
         let last = model.terms.len() - 1;
         let term = &model.terms[last];
         let left = model.fit.cost - self.noise;
+        let of_best = |best: &Model| (best.fit.cost - self.noise).max(0.0);
         if term.name() != MASS
             || left < CLOSED * self.gap
             || left > MOST * self.gap
+            || self.tried.first().is_some_and(|best| left > BEHIND * of_best(best))
             || model.fit.cost > effort.hopeless
         {
             return Ok(model);

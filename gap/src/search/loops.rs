@@ -11,7 +11,7 @@ use crate::fitting::fit::Effort;
 use crate::fitting::model::{Model, Term, join_terms, start_terms};
 use crate::judge::accept;
 use crate::search::select::{CLOSED, MOST_EFFECTS, Search};
-use crate::session::scene::Stack;
+use crate::session::scene::{Stack, Wanted};
 
 /// The effect that this is about.
 const LOOP: &str = "hysteresis-shape";
@@ -101,7 +101,9 @@ impl Search<'_> {
             let beside = self.loop_beside_others(plain, |_| &self.base);
             beside.filter(|(axes, _)| *axes != 0).or_else(|| self.best_with_loop())
         });
-        let bound: Vec<(u32, Model)> = own.into_iter().chain(beside).filter(|b| b.0 != 0).collect();
+        let apart = plain.as_ref().map(|plain| self.loop_apart_from_friction(plain)).transpose()?;
+        let bound: Vec<(u32, Model)> =
+            apart.flatten().into_iter().chain(own).chain(beside).filter(|b| b.0 != 0).collect();
         let is_closed =
             |m: &Model| m.terms.len() < MOST_EFFECTS && accept::is_clean(self.scene, &m.fit.stack);
         let is_late = |m: &Model| {
@@ -301,6 +303,24 @@ impl Search<'_> {
         let best = self.tried.iter().find(is_one)?;
         let closes = best.fit.cost - self.noise < HALF * self.gap;
         self.loop_beside_others(best, |without| without).filter(|_| closes)
+    }
+
+    /// `model` with friction on axes without a loop only, where it has it on both: there it is a cause of its own, while beside a loop it makes up
+    /// for a law that the plain one does not have.
+    fn loop_apart_from_friction(&self, model: &Model) -> Result<Option<(u32, Model)>, Error> {
+        let places = |name: &str| model.terms.iter().find(|t| t.name() == name).map(|t| &t.places);
+        let (Some(loops), Some(rubs)) = (places(LOOP), places(FRICTION)) else { return Ok(None) };
+        let beside = rubs.iter().filter(|place| loops.contains(place)).count();
+        if beside == 0 || beside == rubs.len() || self.is_spent() {
+            return Ok(None);
+        }
+        let apart = model.part(|t, here| t.name() != FRICTION || !loops.contains(&here.places[0]));
+        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = apart.into_iter().unzip();
+        let bound = self.fit_model(terms, start.concat(), self.effort())?;
+        let Some(nth) = bound.terms.iter().position(|t| t.name() == LOOP) else { return Ok(None) };
+        let without = bound.without(self.nominal, nth, |_| true)?;
+        let without = self.scene.residuals_at(&without, Wanted::ALL, self.include)?;
+        Ok(Some((self.axes_of_loop(&bound, &without, &self.base), bound)))
     }
 
     /// A model of several effects with a loop among them that is a good part of the answer on some axes. Friction is left out: it makes

@@ -7,7 +7,7 @@ use crate::Error;
 use crate::fitting::fit::Effort;
 use crate::fitting::knobs::axes_seen;
 use crate::fitting::model::{Model, Term};
-use crate::judge::accept;
+use crate::judge::accept::{self, has_many_laws};
 use crate::search::select::Search;
 use crate::search::worth::{WORTH_ABSOLUTE, WORTH_OF_GAP};
 use crate::session::scene::{Wanted, dot};
@@ -20,6 +20,9 @@ const WORTH_OF_TOP: f64 = 0.004;
 const MOST_OF_AXIS: f64 = 0.5;
 /// ... and this share of what is left on its axis. Less is what the form of another effect there leaves.
 const WORTH_OF_LEFT: f64 = 0.1;
+
+/// ... and this share of what the others leave there if they are fitted without it, where one of them is of many laws: less trims its form.
+const WORTH_OF_TRIM: f64 = 0.6;
 
 /// What a place of an effect is worth.
 #[derive(Clone, Copy)]
@@ -73,11 +76,40 @@ impl Search<'_> {
                     kept_terms.push(Term { effect: term.effect, places });
                 }
             }
-            if !dropped || kept_terms.is_empty() {
+            if kept_terms.is_empty() {
                 return Ok(model);
+            }
+            if !dropped {
+                return self.without_trims(model);
             }
             model = self.fit_model(kept_terms, start, Effort { iterations: 4, ..self.effort() })?;
         }
+    }
+
+    /// `model` without the places of effects on several axes that only trim the form of an effect of many laws: with that one fitted again they
+    /// leave about as much of their axis. What ties axes together brings its form to others.
+    fn without_trims(&self, model: Model) -> Result<Model, Error> {
+        let iterations = if self.is_spent() { 3 } else { 6 };
+        let effort = Effort { iterations, ..self.effort() };
+        let mut best = model;
+        for t in 0..best.terms.len() {
+            for place in best.terms[t].places.clone() {
+                let Place::Axis(axis) = place else { continue };
+                if best.terms[t].places.len() < 2 || !has_form_of_another(&best, t, axis) {
+                    continue;
+                }
+                let name = best.terms[t].name();
+                let rest = best.part(|term, here| term.name() != name || here.places[0] != place);
+                let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = rest.into_iter().unzip();
+                let without = self.fit_model(terms, start.concat(), effort)?;
+                let [with, left] =
+                    [&best, &without].map(|model| self.left_on(&model.fit.stack, 1 << axis));
+                if left - with < WORTH_OF_TRIM * left {
+                    best = without;
+                }
+            }
+        }
+        Ok(best)
     }
 
     /// Whether each effect takes off what by itself would count as a gap. With long recordings far less is significant: what another
@@ -136,4 +168,19 @@ impl Search<'_> {
         }
         Ok(worth)
     }
+}
+
+/// Whether what an effect of many laws leaves is seen on an axis, other than that of term `t`: it is there, or on an axis that is tied to it.
+fn has_form_of_another(model: &Model, t: usize, axis: usize) -> bool {
+    let places = model.terms.iter().flat_map(|term| &term.places);
+    let tied = places.filter_map(|place| match *place {
+        Place::Pair { on, from } if on == axis => Some(from),
+        Place::Pair { on, from } if from == axis => Some(on),
+        _ => None,
+    });
+    let seen: Vec<usize> = tied.chain([axis]).collect();
+    let has_laws = |(other, term): (usize, &Term)| {
+        other != t && has_many_laws(term.name()) && term.axes().iter().any(|a| seen.contains(a))
+    };
+    model.terms.iter().enumerate().any(has_laws)
 }

@@ -176,17 +176,14 @@ impl<'a> Search<'a> {
             if size > 1 {
                 self.compose(size)?;
             }
-            let Some(candidate) = self.best_of(size) else { break };
-            let is_worth_it = match &best {
-                None => {
-                    let saved = self.gap - (candidate.fit.cost - self.noise);
+            let candidate = match &best {
+                None => self.best_of(size).filter(|single| {
+                    let saved = self.gap - (single.fit.cost - self.noise);
                     saved > WORTH_ABSOLUTE.max(WORTH_OF_FIRST * self.gap)
-                }
-                Some(best) => self.is_worth_more(best, &candidate),
+                }),
+                Some(best) => self.worth_it_beyond(best, size),
             };
-            if !is_worth_it {
-                break;
-            }
+            let Some(candidate) = candidate else { break };
             let left = candidate.fit.cost - self.noise;
             let is_closed = accept::is_clean(self.scene, &candidate.fit.stack);
             best = Some(candidate);

@@ -2,7 +2,7 @@
 
 use crate::Error;
 use crate::fitting::fit::Sensitivities;
-use crate::fitting::knobs::EffectRef;
+use crate::fitting::knobs::{EffectRef, is_plain};
 use crate::fitting::model::{Model, Term, start_terms};
 use crate::judge::accept::has_many_laws;
 use crate::search::screen::Gain;
@@ -54,7 +54,13 @@ impl Search<'_> {
             let names: Vec<&str> = start.terms.iter().map(Term::name).collect();
             let share = if size > 1 { PROMISE_OF_THIRD } else { PROMISE };
             let needed = share * (start.fit.cost - wanted);
-            let mut partners = self.shortlist(&gains, &names, self.breadth.partners);
+            let mut partners = self.shortlist(&gains, &names, usize::MAX);
+            let rest = partners.split_off(partners.len().min(self.breadth.partners));
+            // Beside an effect that took on what is missing, one of many forms promises more than the plain one that is.
+            let plain = rest.into_iter().filter(|(effect, _)| is_plain(*effect));
+            partners.extend(plain.take(self.breadth.plain));
+            // They take next to nothing, and a mass beside a loop of another rate a third of what a search may spend.
+            partners.sort_by_key(|(effect, _)| !is_plain(*effect));
             partners.retain(|(_, gains)| gains.iter().map(|g| g.gain).sum::<f64>() >= needed);
             if partners.is_empty() && start.fit.cost == best {
                 partners = self.likeliest(&start);

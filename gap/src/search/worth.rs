@@ -20,6 +20,15 @@ const CLEARLY: f64 = 1.0;
 pub(crate) const WORTH_ABSOLUTE: f64 = 60.0;
 
 impl Search<'_> {
+    /// The best model of `size` effects if it is worth it beyond `best`, or else the best one that has what that has on fewer axes.
+    pub(crate) fn worth_it_beyond(&self, best: &Model, size: usize) -> Option<Model> {
+        let is_worth_it = |model: &&Model| self.is_worth_more(best, model);
+        let mut of_size = self.tried.iter().filter(|model| model.terms.len() == size);
+        let first = of_size.next()?;
+        let mut splits = of_size.filter(|model| model.splits(best));
+        Some(first).filter(is_worth_it).or_else(|| splits.find(is_worth_it)).cloned()
+    }
+
     /// Whether a model of one more effect is worth it. One that has each effect on fewer axes may even be the plainer one.
     pub(crate) fn is_worth_more(&self, smaller: &Model, larger: &Model) -> bool {
         let saved = smaller.fit.cost - larger.fit.cost;
@@ -28,6 +37,8 @@ impl Search<'_> {
             || self.closes_an_axis(smaller, larger, saved)
             || (larger.numbers() <= smaller.numbers()
                 && saved > self.worth_of_change(smaller.fit.cost - self.noise))
+            || (larger.numbers() < smaller.numbers()
+                && saved > self.worth_of_plainer(smaller.fit.cost - self.noise))
             || (larger.numbers() < smaller.numbers()
                 && saved > NOISE_MARGIN
                 && larger.splits(smaller))
@@ -73,6 +84,12 @@ impl Search<'_> {
     pub(crate) fn may_close_much(&self, smaller: &Model, there: &Stack) -> bool {
         let before = self.scene.excess(&smaller.fit.stack);
         before - self.scene.excess(there) > WORTH_OF_LEFTOVER * before
+    }
+
+    /// Cost that several effects of fewer numbers must remove in place of fewer effects, where `leftover` is left: a lag that relaxes in
+    /// many ways takes in the small gain beside a plain one, which is next to nothing of the gap.
+    fn worth_of_plainer(&self, leftover: f64) -> f64 {
+        WORTH_ABSOLUTE.max(WORTH_OF_LEFTOVER * leftover)
     }
 
     /// Cost that another effect must remove in place of one, where `leftover` is left.

@@ -6,7 +6,7 @@
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-use host_sim::rig::Rig;
+use host_sim::rig::{Rig, Setting};
 use host_sim::stages::mechanism::substeps;
 use host_sim::stages::model::Model;
 
@@ -17,9 +17,8 @@ const MOST_PASSES: u64 = 850;
 /// blind set 18181 come that far.
 const MOST_BEYOND: u64 = 300_000_000;
 /// What a tick takes with an effect there, in tenths of one without, beyond it.
-const HEAVY: [(&str, u64); 10] = [
+const HEAVY: [(&str, u64); 9] = [
     ("friction", 25),
-    ("hysteresis-rate", 50),
     ("hysteresis-shape", 8),
     ("stage-drag", 45),
     ("stiffness-coupling", 90),
@@ -29,6 +28,9 @@ const HEAVY: [(&str, u64); 10] = [
     ("inertia", 20),
     ("floor-hum", 10),
 ];
+/// The same for a law of an effect that has several, by the parameter that is not at its zero.
+const HEAVY_LAWS: [(&str, &str, u64); 2] =
+    [("hysteresis-rate", "per_decade", 17), ("hysteresis-rate", "strain_loss_v", 56)];
 /// The same for one without.
 const PLAIN: u64 = 10;
 /// Effects that take a tick in parts: all of them where something asks for every part of every tick, however calm.
@@ -98,19 +100,29 @@ pub(crate) fn price(rig: &Rig, axes: u32, ticks: usize, step_s: f64) -> u64 {
 
 /// What a tick of an axis takes.
 fn of_axis(rig: &Rig, on: usize, step_s: f64) -> u64 {
-    let heavy = |name: &str| HEAVY.iter().find(|(n, _)| *n == name).map_or(0, |(_, more)| *more);
     let here = rig.effects.iter().filter(|s| s.place.on() == on && s.is_active());
-    let names: Vec<&str> = here.map(|s| s.effect.info().name).collect();
-    let sum = |names: &mut dyn Iterator<Item = &&str>| names.map(|name| heavy(name)).sum::<u64>();
-    if names.iter().any(|name| IN_PARTS.contains(name)) {
+    let here: Vec<&Setting> = here.collect();
+    let is_in_parts = |s: &Setting| IN_PARTS.contains(&s.effect.info().name);
+    if here.iter().any(|s| is_in_parts(s)) {
         let model = &Model::new(rig, step_s).axes[on];
         if model.follows_every_tick() {
-            let parts = substeps(model, step_s) as u64;
-            return parts
-                * (PLAIN + sum(&mut names.iter().filter(|name| !IN_PARTS.contains(name))));
+            let others = here.iter().filter(|s| !is_in_parts(s));
+            return substeps(model, step_s) as u64 * (PLAIN + others.map(|s| more(s)).sum::<u64>());
         }
     }
-    PLAIN + sum(&mut names.iter())
+    PLAIN + here.iter().map(|s| more(s)).sum::<u64>()
+}
+
+/// What a tick takes with an effect, beyond one without.
+fn more(setting: &Setting) -> u64 {
+    let info = setting.effect.info();
+    let whole = HEAVY.iter().find(|(name, _)| *name == info.name).map_or(0, |(_, more)| *more);
+    let is_there = |parameter: &str| {
+        let mut values = info.parameters.iter().zip(&setting.values);
+        values.any(|(p, value)| p.name == parameter && *value != p.zero)
+    };
+    let laws = HEAVY_LAWS.iter().filter(|(name, law, _)| *name == info.name && is_there(law));
+    whole + laws.map(|(_, _, more)| more).sum::<u64>()
 }
 
 #[cfg(test)]
@@ -128,11 +140,19 @@ mod tests {
         // Three and a half times the plain one on one of the axes, and nothing more on the other.
         work.count(&rig, 0b011, 2000, 1.0e-4);
         assert_eq!(work.passes(), 1 + 3);
-        rig.set("hysteresis-rate", Place::Axis(2), "resistance_ohm", 5.0).expect("known parameter");
+        rig.set("hysteresis-rate", Place::Axis(2), "strain_loss_v", 0.3).expect("known parameter");
         rig.set("inertia", Place::Axis(2), "added_kg", 0.1).expect("known parameter");
-        // Six times the plain one in each of eight parts.
+        // Six times and a half the plain one in each of eight parts.
         work.count(&rig, 0b100, 3000, 1.0e-4);
-        assert_eq!(work.passes(), 1 + 3 + 48);
+        assert_eq!(work.passes(), 1 + 3 + 52);
+        let zeros = [("strain_loss_v", 0.0), ("per_decade", 0.1)];
+        for (parameter, value) in zeros {
+            rig.set("hysteresis-rate", Place::Axis(2), parameter, value).expect("known parameter");
+        }
+        rig.set("inertia", Place::Axis(2), "added_kg", 0.0).expect("known parameter");
+        // 2.7 times.
+        work.count(&rig, 0b100, 3000, 1.0e-4);
+        assert_eq!(work.passes(), 1 + 3 + 52 + 3);
         assert!(!work.is_spent());
     }
 
