@@ -1,0 +1,48 @@
+//! Effects on axes of their own, of the truth generator, beside others whose form leaves something there or takes them in.
+
+mod common;
+
+use common::{assert_explained, causes, drawn};
+
+#[test]
+fn a_small_gain_beside_lags_is_no_relaxation() {
+    // Relaxation on all axes takes in the gain on one of them but for next to nothing of the gap, with twice as many numbers.
+    let diagnosis = drawn(24242, 44, &["sensor-bandwidth", "piezo-gain"]);
+    assert_explained(&diagnosis, &[("sensor-bandwidth", &[1, 2, 3][..]), ("piezo-gain", &[1])]);
+}
+
+#[test]
+fn what_trims_a_loop_of_another_rate_is_no_gain() {
+    // A gain of two thousandths, the other way than on axis 2, takes a third of what the form of the loop leaves on axis 3.
+    let diagnosis = drawn(24242, 114, &["piezo-gain", "hysteresis-rate"]);
+    assert_explained(&diagnosis, &[("hysteresis-rate", &[3][..]), ("piezo-gain", &[2])]);
+}
+
+#[test]
+fn friction_makes_up_for_the_law_of_a_loop_on_the_axis_of_the_loop_only() {
+    let diagnosis = drawn(21212, 32, &["friction", "hysteresis-shape"]);
+    assert_explained(&diagnosis, &[("friction", &[1][..]), ("hysteresis-shape", &[3])]);
+}
+
+#[test]
+fn a_bent_gauge_is_told_from_a_loop_of_any_law_on_the_axis_beside_it() {
+    // The loop closes as much of the axis of the gauge, with eight numbers for three.
+    let diagnosis = drawn(21212, 39, &["sensor-nonlinearity", "hysteresis-shape"]);
+    let mut named = causes(&diagnosis);
+    named.sort_unstable();
+    assert_eq!(named, [("hysteresis-shape", &[2][..]), ("sensor-nonlinearity", &[1])]);
+}
+
+#[test]
+fn what_crosstalk_brings_of_the_form_of_a_loop_is_no_loop() {
+    let diagnosis = drawn(23232, 32, &["hysteresis-shape", "stiffness-coupling"]);
+    let found = causes(&diagnosis);
+    assert_eq!(found[0], ("hysteresis-shape", &[1][..]), "{found:?}");
+}
+
+#[test]
+fn a_limit_of_two_amplifiers_is_named_on_the_third_that_hardly_reaches_it() {
+    let diagnosis = drawn(24242, 100, &["amplifier-current-limit"]);
+    assert_explained(&diagnosis, &[("amplifier-current-limit", &[1, 2, 3][..])]);
+    assert!(diagnosis.notes.iter().any(|note| note.contains("Axis 1")), "{:?}", diagnosis.notes);
+}
