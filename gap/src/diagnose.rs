@@ -11,7 +11,6 @@ use crate::judge::accept;
 use crate::judge::causes::causes_of;
 use crate::judge::slow;
 use crate::judge::strangers::Masked;
-use crate::judge::unseen;
 use crate::locate;
 use crate::looks::{self, Judged, Looked, Looks, Nominal};
 use crate::picture;
@@ -163,10 +162,6 @@ fn answer(
         replayed_after = scene.file_by_file(fitted)?.raw(fitted, everything)?;
         final_rig = f.whole.fit.rig.clone();
     }
-    let unseen = match &found {
-        Some(f) => unseen::name(scene, &f.whole, rig, &mut final_rig)?,
-        None => Vec::new(),
-    };
     let in_order = Energies::new(scene, raw_before, &honest_after, &held).gap(axes);
     let gap = Energies::new(scene, raw_before, &replayed_after, &held).gap(axes);
     let mut causes = Vec::new();
@@ -185,13 +180,6 @@ fn answer(
         causes = order.iter().map(|&k| list[k].clone()).collect();
         claimed = order.iter().map(|&k| claims[k].clone()).collect();
         staircase = stairs;
-    }
-    for also in &unseen {
-        for cause in causes.iter_mut().filter(|cause| cause.effect == also.effect) {
-            cause.axes.push(also.axis + 1);
-            cause.axes.sort_unstable();
-        }
-        notes.push(also.note());
     }
     let white_after = scene.residuals_at(&final_rig, Wanted::ALL, everything)?;
     let left = accept::gaps(scene, &white_after);

@@ -46,3 +46,33 @@ fn a_limit_of_two_amplifiers_is_named_on_the_third_that_hardly_reaches_it() {
     assert_explained(&diagnosis, &[("amplifier-current-limit", &[1, 2, 3][..])]);
     assert!(diagnosis.notes.iter().any(|note| note.contains("Axis 1")), "{:?}", diagnosis.notes);
 }
+
+#[test]
+fn a_swinging_part_of_all_axes_is_named_where_it_hardly_rings() {
+    // On axis 3 it is a third of the noise beyond it, in recordings that are held out.
+    let diagnosis = drawn(25252, 80, &["second-mass", "drive-offset"]);
+    assert_explained(&diagnosis, &[("drive-offset", &[1][..]), ("second-mass", &[1, 2, 3])]);
+}
+
+#[test]
+fn an_offset_of_all_gauges_is_named_beside_a_large_loop_as_well() {
+    // The form of the loop leaves about as much on axis 1 as the offset takes off there, which is that of the other axes.
+    let diagnosis = drawn(25252, 41, &["sensor-offset", "hysteresis-shape"]);
+    let named = [("hysteresis-shape", &[1][..]), ("sensor-offset", &[1, 2, 3])];
+    assert_explained(&diagnosis, &named);
+}
+
+#[test]
+fn what_integrators_differ_by_beside_creep_is_no_mass() {
+    // A third of a gram takes 0.3 of the noise off the edges of squares, a thousandth of what the creep is.
+    let diagnosis = drawn(25252, 39, &["creep"]);
+    assert_explained(&diagnosis, &[("creep", &[1, 2, 3][..])]);
+}
+
+#[test]
+fn springs_that_take_back_what_crosstalk_does_are_found_beside_it() {
+    // Neither promises anything beside the other, and the springs close next to nothing alone.
+    let diagnosis = drawn(26262, 92, &["drive-crosstalk", "stiffness-coupling"]);
+    let named = [("drive-crosstalk", &[1, 2, 3][..]), ("stiffness-coupling", &[1, 2])];
+    assert_explained(&diagnosis, &named);
+}

@@ -78,7 +78,8 @@ pub fn is_clean(scene: &Scene, stack: &Stack) -> bool {
     gaps(scene, stack).iter().all(|gap| !gap.counts)
 }
 
-/// Whether the difference between two stacks would count as a gap, on any axis in the mask `axes` or in any recording of one.
+/// Whether the difference between two stacks would count as a gap, on any axis in the mask `axes` or in any recording of one: beyond what
+/// integrators may differ by, which another effect makes up for as readily.
 pub fn counts(scene: &Scene, without: &Stack, with: &Stack, axes: u32) -> bool {
     let mut sums = vec![(0.0, 0.0); scene.position_noise.len()];
     for (c, channel) in scene.channels.iter().enumerate() {
@@ -87,7 +88,8 @@ pub fn counts(scene: &Scene, without: &Stack, with: &Stack, axes: u32) -> bool {
         }
         let (Some(without), Some(with)) = (&without[c], &with[c]) else { continue };
         let (own, floor, _) = channel.excess_of(without);
-        let saved = own - channel.excess(with);
+        let of_integrators = without.len() as f64 * channel.of_integrators;
+        let saved = own - channel.excess(with) - of_integrators;
         if saved > CHANNEL_EXCESS * floor {
             return true;
         }

@@ -8,7 +8,6 @@
 //! | `strangers` | is there something outside the catalogue that does better? |
 //! | `steady` | is a time constant the same at all times? |
 //! | `slow` | do causes account for slow motion, if not for all of it? |
-//! | `unseen` | is a threshold there on an axis that hardly reaches it? |
 //! | `causes` | what each cause closes, with parameters and intervals |
 
 pub mod accept;
@@ -18,4 +17,3 @@ pub(crate) mod monitors;
 pub(crate) mod slow;
 pub(crate) mod steady;
 pub(crate) mod strangers;
-pub(crate) mod unseen;

@@ -16,6 +16,7 @@ use crate::fitting::model::{Model, Term, join_terms, knobs_from, knobs_of, start
 use crate::judge::accept::{self, AxisGapSize};
 use crate::judge::ambiguity::{self, Standings};
 use crate::judge::monitors::{self, Missing};
+use crate::search::last_axis::is_as_elsewhere;
 use crate::search::select::{Breadth, Search};
 use crate::session::energy::{Energies, HAS_GAP};
 use crate::session::scene::{Channel, Scene, Stack, Wanted};
@@ -55,7 +56,7 @@ pub(crate) fn search(
     bar.set_message("fitting");
     let whole = search.run()?;
     let Some(model) = by_axis(&mut search, whole, effects, gaps)? else { return Ok(None) };
-    let model = stands_elsewhere(&search, model)?;
+    let model = search.also_on_last_axis(stands_elsewhere(&search, model)?)?;
     let gap = search.gap.max(1.0);
     // The same effects on other axes, or from another start, are one entry: the best comes first.
     let mut tried: Vec<(String, f64)> = Vec::new();
@@ -341,6 +342,17 @@ pub(crate) fn abstain(
         ));
     }
     restrict(rig, &mut found, &trusted, &loud)?;
+    for term in &found.model.terms {
+        let is_quiet = |place: &&Place| matches!(**place, Place::Axis(axis) if !loud[axis]);
+        notes.extend(term.places.iter().filter(is_quiet).map(|place| {
+            format!(
+                "Axis {}: {} is named there because the other axes have it alike. What these recordings show of it on this axis is more than \
+                 noise, but less than what counts as a gap.",
+                place.on() + 1,
+                term.name()
+            )
+        }));
+    }
     Ok((!found.model.terms.is_empty() && overall >= LEAST_OVERALL).then_some(found))
 }
 
@@ -364,11 +376,15 @@ fn proxies(rig: &Rig, model: &Model, trusted: &[bool], gaps: &[AxisGap]) -> Vec<
     model.terms.iter().filter(is_proxy).map(Term::name).collect()
 }
 
-/// Keep only the places that act on trusted axes and reach an axis with a gap: what takes a little noise off a quiet axis is no cause.
+/// Keep only the places that act on trusted axes and reach an axis with a gap, or have the same as all others: what takes a little noise off a
+/// quiet axis is no cause.
 fn restrict(rig: &Rig, found: &mut Found, trusted: &[bool], loud: &[bool]) -> Result<(), Error> {
-    let keep = |_: &Term, alone: &Term| {
+    let model = found.model.clone();
+    let keep = |term: &Term, alone: &Term| {
         let axes = alone.axes();
-        axes.iter().all(|&a| trusted[a]) && axes.iter().any(|&a| loud[a])
+        let nth = model.terms.iter().position(|known| known.name() == term.name());
+        let is_as_elsewhere = || nth.is_some_and(|t| is_as_elsewhere(&model, t, alone.places[0]));
+        axes.iter().all(|&a| trusted[a]) && (axes.iter().any(|&a| loud[a]) || is_as_elsewhere())
     };
     self::keep(rig, found, keep)
 }

@@ -9,6 +9,7 @@
 //! | what is not worth fitting to the end, and what is worth an effect more | `few`, `worth` |
 //! | other effects in the place of those chosen, fewer, none where they do nothing | `swap`, `trade`, `fewer`, `prune` |
 //! | loops of any law | `loops` |
+//! | what all axes have alike | `last_axis` |
 //! | the whole of it, checked on recordings held out | `found` |
 
 mod alike;
@@ -20,6 +21,7 @@ mod fewer;
 pub(crate) mod found;
 mod further_mode;
 mod joint;
+pub(crate) mod last_axis;
 pub(crate) mod loops;
 mod pairs;
 mod prune;

@@ -8,6 +8,7 @@ use crate::fitting::fit::Effort;
 use crate::fitting::knobs::axes_seen;
 use crate::fitting::model::{Model, Term};
 use crate::judge::accept::{self, has_many_laws};
+use crate::search::last_axis::is_as_elsewhere;
 use crate::search::select::Search;
 use crate::search::worth::{WORTH_ABSOLUTE, WORTH_OF_GAP};
 use crate::session::scene::{Wanted, dot};
@@ -95,7 +96,9 @@ impl Search<'_> {
         for t in 0..best.terms.len() {
             for place in best.terms[t].places.clone() {
                 let Place::Axis(axis) = place else { continue };
-                if best.terms[t].places.len() < 2 || !has_form_of_another(&best, t, axis) {
+                let is_asked =
+                    has_form_of_another(&best, t, axis) && !is_as_elsewhere(&best, t, place);
+                if best.terms[t].places.len() < 2 || !is_asked {
                     continue;
                 }
                 let name = best.terms[t].name();

@@ -1,5 +1,7 @@
 //! One more effect beside the best models: those that a linear prediction promises something of, and those that it says nothing about.
 
+use host_sim::effects::Place;
+
 use crate::Error;
 use crate::fitting::fit::Sensitivities;
 use crate::fitting::knobs::{EffectRef, is_plain};
@@ -94,7 +96,10 @@ impl Search<'_> {
         }
         // The best ones come first.
         let is_other = |m: &&Model| is_of_one_law(m) && m.key() != single.key();
-        let is_of_use = |m: &&Model| m.fit.cost - self.noise < OF_USE * self.gap;
+        // Of two that tie axes together one takes back what the other one does, and neither is of use alone.
+        let is_of_use = |m: &&Model| {
+            m.fit.cost - self.noise < OF_USE * self.gap || (ties_axes(single) && ties_axes(m))
+        };
         let of_model = |model: &Model| {
             let term = &model.terms[0];
             let gain = |(p, &place)| Gain {
@@ -108,4 +113,10 @@ impl Search<'_> {
         let others = self.tried.iter().filter(is_other).filter(is_of_use);
         others.take(LIKELIEST).map(of_model).collect()
     }
+}
+
+/// Whether an effect of a model acts between axes.
+fn ties_axes(model: &Model) -> bool {
+    let mut places = model.terms.iter().flat_map(|term| &term.places);
+    places.any(|place| matches!(place, Place::Pair { .. }))
 }
