@@ -1,13 +1,13 @@
 //! The whole diagnosis, step by step: intake, floor, locate, split, search, accept, refit, report.
 
-use host_sim::effects::{Effect, catalogue};
+use host_sim::effects::{Effect, Place, catalogue};
 use host_sim::rig::Rig;
 use indicatif::{ProgressBar, ProgressStyle};
 use recording::Session;
 
 use crate::diagnosis::{Diagnosis, RecordingGap, Role, Verdict};
 use crate::fitting::knobs::EffectRef;
-use crate::judge::accept;
+use crate::judge::accept::{self, AxisGapSize};
 use crate::judge::causes::causes_of;
 use crate::judge::slow;
 use crate::judge::strangers::Masked;
@@ -168,6 +168,7 @@ fn answer(
     let mut claimed = Vec::new();
     let mut staircase = Vec::new();
     if let Some(f) = &found {
+        notes.extend(quiet_notes(f, gaps));
         let (mut list, claims, stairs) = causes_of(rig, scene, f, raw_before, &honest_after)?;
         let mut order: Vec<usize> = (0..list.len()).collect();
         order.sort_by(|&a, &b| list[b].closes.total_cmp(&list[a].closes));
@@ -261,6 +262,24 @@ fn answer(
         tried: &tried,
     });
     Ok(Outcome { diagnosis, rig: final_rig, report })
+}
+
+/// What a reader should know about causes on axes that have no gap of their own.
+fn quiet_notes(found: &Found, gaps: &[AxisGapSize]) -> Vec<String> {
+    let named =
+        found.model.terms.iter().flat_map(|term| term.places.iter().map(move |p| (term, *p)));
+    let quiet = named.filter_map(|(term, place)| match place {
+        Place::Axis(axis) if !gaps[axis].counts => Some((term.name(), axis)),
+        _ => None,
+    });
+    let note = |(name, axis): (&str, usize)| {
+        format!(
+            "Axis {}: {name} is named there because other axes have it alike. What these recordings show of it on this axis is more than noise, \
+             but less than what counts as a gap.",
+            axis + 1
+        )
+    };
+    quiet.map(note).collect()
 }
 
 /// What a reader of the report should know about the recordings themselves.

@@ -147,3 +147,13 @@ fn what_noise_alone_ranks_is_ranked_by_what_the_cause_is_confused_with() {
     assert_eq!((shift.effect.as_str(), &shift.axes[..]), ("sensor-offset", &[1][..]));
     assert!(shift.indistinguishable_from.iter().any(|e| e == "preload-loss"), "{shift:?}");
 }
+
+#[test]
+fn what_integrators_differ_by_does_not_tell_a_stiffness_from_what_relaxes() {
+    // A branch that relaxes in a thousand seconds is a stiffness; the damper in it takes up what integrators differ by.
+    let diagnosis = drawn(27272, 70, &["stiffness"]);
+    assert_eq!(diagnosis.verdict, Verdict::Explained);
+    let [cause] = &diagnosis.causes[..] else { panic!("{:?}", causes(&diagnosis)) };
+    let alike = cause.indistinguishable_from.iter().any(|name| name == "stiffness");
+    assert!(cause.effect == "stiffness" || alike, "{cause:?}");
+}

@@ -99,3 +99,10 @@ fn a_part_that_swings_is_found_on_an_axis_that_hardly_shows_it() {
     let named = [("sensor-gain", &[2, 3][..]), ("second-mass", &[1, 2])];
     common::assert_explained(&diagnosis, &named);
 }
+
+#[test]
+fn a_light_mass_that_rings_just_beyond_half_the_rate_of_the_loop_is_found_by_its_alias() {
+    // 5.2 kHz at 10 kHz: what is seen rings at 4.8 kHz.
+    let diagnosis = common::drawn(27272, 56, &["inertia"]);
+    common::assert_explained(&diagnosis, &[("inertia", &[3][..])]);
+}

@@ -59,6 +59,12 @@ fn main() {
         spread.set("viscoelasticity", Place::Axis(0), parameter, value).expect("in its bounds");
     }
     rigs.push(("viscoelasticity spread_decades".to_owned(), spread));
+    // A series loss whose voltage goes with a power of the current.
+    let mut power = nominal.clone();
+    for (parameter, value) in [("resistance_ohm", 50.0), ("loss_exponent", 0.5)] {
+        power.set("hysteresis-rate", Place::Axis(0), parameter, value).expect("in its bounds");
+    }
+    rigs.push(("hysteresis-rate resistance_ohm of a power".to_owned(), power));
     let mut ns = vec![f64::INFINITY; rigs.len()];
     for _ in 0..TURNS {
         for ((name, rig), best) in rigs.iter().zip(&mut ns) {

@@ -89,7 +89,8 @@ pub fn counts(scene: &Scene, without: &Stack, with: &Stack, axes: u32) -> bool {
         let (Some(without), Some(with)) = (&without[c], &with[c]) else { continue };
         let (own, floor, _) = channel.excess_of(without);
         let of_integrators = without.len() as f64 * channel.of_integrators;
-        let saved = own - channel.excess(with) - of_integrators;
+        let saved = own - channel.excess(with);
+        let saved = saved - of_integrators.min(saved.max(0.0));
         if saved > CHANNEL_EXCESS * floor {
             return true;
         }

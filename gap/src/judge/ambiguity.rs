@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use crate::diagnosis::NextExperiment;
 use crate::fitting::model::Model;
+use crate::judge::accept;
 use crate::search::select::Search;
 use crate::session::scene::Scene;
 
@@ -87,7 +88,9 @@ fn standing(search: &Search, model: &Model, term: usize) -> Standing {
         seen.push(instead.name());
         let behind = rival.fit.cost - model.fit.cost;
         weight += (-behind.max(0.0) / (2.0 * (1.0 + left / 12.0))).exp();
-        if behind < NOISE_MARGIN + LEFTOVER_MARGIN * left.min(saved) {
+        // What integrators differ by is no ground to tell two effects apart either.
+        let counts = || accept::counts(search.scene, &rival.fit.stack, &model.fit.stack, u32::MAX);
+        if behind < NOISE_MARGIN + LEFTOVER_MARGIN * left.min(saved) || !counts() {
             rivals.push((behind, instead.name(), rival.clone()));
         }
     }

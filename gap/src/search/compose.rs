@@ -58,7 +58,9 @@ impl Search<'_> {
             join_terms(&mut terms, model.part(|_, here| here.places[0] == Place::Axis(axis)));
         }
         let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = terms.into_iter().unzip();
-        if self.tried.iter().any(|known| has_same_places(known, &terms)) {
+        // One at the same places that leaves more was begun elsewhere, or given up.
+        let is_it = |known: &Model| known.fit.cost <= price && has_same_places(known, &terms);
+        if self.tried.iter().any(is_it) {
             return Ok(());
         }
         let effort = Effort { iterations: 4, tolerance: 2.0e-2, ..self.effort() };

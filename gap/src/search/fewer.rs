@@ -62,7 +62,8 @@ impl Search<'_> {
                 self.remember(rest);
             }
         }
-        let Some(smaller) = self.best_of(size - 1) else { return Ok(model) };
+        let smaller = self.chosen_of(size - 1).or_else(|| self.best_of(size - 1));
+        let Some(smaller) = smaller else { return Ok(model) };
         if self.is_worth_more(&smaller, &model) { Ok(model) } else { self.fewer(smaller) }
     }
 

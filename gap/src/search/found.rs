@@ -342,17 +342,6 @@ pub(crate) fn abstain(
         ));
     }
     restrict(rig, &mut found, &trusted, &loud)?;
-    for term in &found.model.terms {
-        let is_quiet = |place: &&Place| matches!(**place, Place::Axis(axis) if !loud[axis]);
-        notes.extend(term.places.iter().filter(is_quiet).map(|place| {
-            format!(
-                "Axis {}: {} is named there because the other axes have it alike. What these recordings show of it on this axis is more than \
-                 noise, but less than what counts as a gap.",
-                place.on() + 1,
-                term.name()
-            )
-        }));
-    }
     Ok((!found.model.terms.is_empty() && overall >= LEAST_OVERALL).then_some(found))
 }
 
@@ -376,14 +365,16 @@ fn proxies(rig: &Rig, model: &Model, trusted: &[bool], gaps: &[AxisGap]) -> Vec<
     model.terms.iter().filter(is_proxy).map(Term::name).collect()
 }
 
-/// Keep only the places that act on trusted axes and reach an axis with a gap, or have the same as all others: what takes a little noise off a
-/// quiet axis is no cause.
+/// Keep only the places that act on trusted axes and reach an axis with a gap, or have the same as enough such axes: what takes a little noise
+/// off a quiet axis is no cause.
 fn restrict(rig: &Rig, found: &mut Found, trusted: &[bool], loud: &[bool]) -> Result<(), Error> {
     let model = found.model.clone();
     let keep = |term: &Term, alone: &Term| {
         let axes = alone.axes();
         let nth = model.terms.iter().position(|known| known.name() == term.name());
-        let is_as_elsewhere = || nth.is_some_and(|t| is_as_elsewhere(&model, t, alone.places[0]));
+        let speaks = |axis: usize| trusted[axis] && loud[axis];
+        let is_as_elsewhere =
+            || nth.is_some_and(|t| is_as_elsewhere(&model, t, alone.places[0], speaks));
         axes.iter().all(|&a| trusted[a]) && (axes.iter().any(|&a| loud[a]) || is_as_elsewhere())
     };
     self::keep(rig, found, keep)

@@ -101,9 +101,7 @@ impl Search<'_> {
             let beside = self.loop_beside_others(plain, |_| &self.base);
             beside.filter(|(axes, _)| *axes != 0).or_else(|| self.best_with_loop())
         });
-        let apart = plain.as_ref().map(|plain| self.loop_apart_from_friction(plain)).transpose()?;
-        let bound: Vec<(u32, Model)> =
-            apart.flatten().into_iter().chain(own).chain(beside).filter(|b| b.0 != 0).collect();
+        let bound: Vec<(u32, Model)> = own.into_iter().chain(beside).filter(|b| b.0 != 0).collect();
         let is_closed =
             |m: &Model| m.terms.len() < MOST_EFFECTS && accept::is_clean(self.scene, &m.fit.stack);
         let is_late = |m: &Model| {
@@ -121,11 +119,14 @@ impl Search<'_> {
             Some(plain) if is_enough(plain) => plain.fit.cost,
             _ => f64::INFINITY,
         };
+        let apart = plain.as_ref().map(|plain| self.loop_apart_from_friction(plain)).transpose()?;
+        let apart = apart.flatten().filter(|apart| apart.0 != 0);
         let known = self.tried.clone();
         self.tried.retain(|model| !model.key().contains(&LOOP));
         self.ranges.any_loop = true;
         let mut is_another_law = false;
-        for (axes, bound) in bound {
+        let is_apart_first = apart.is_some();
+        for (nth, (axes, bound)) in apart.into_iter().chain(bound).enumerate() {
             let worth = enough.min(self.noise + self.line_of_loop(&bound, plain.as_ref()));
             let known = freed.as_ref().filter(|freed| freed.key() == bound.key()).cloned();
             let freed = match known {
@@ -138,7 +139,10 @@ impl Search<'_> {
             if is_another_law {
                 is_another_law = self.holds_up(&freed, plain.as_ref())?;
                 self.remember(freed);
-                break;
+                // That friction stands apart is a guess: where it comes to nothing the loops by themselves are asked as well.
+                if is_another_law || nth > 0 || !is_apart_first {
+                    break;
+                }
             }
         }
         if is_another_law {

@@ -6,7 +6,7 @@ use host_sim::rig::Rig;
 use crate::Error;
 use crate::fitting::fit::Effort;
 use crate::fitting::knobs::axes_seen;
-use crate::fitting::model::{Model, Term};
+use crate::fitting::model::{Model, Term, start_terms};
 use crate::judge::accept::{self, has_many_laws};
 use crate::search::last_axis::is_as_elsewhere;
 use crate::search::select::Search;
@@ -23,7 +23,7 @@ const MOST_OF_AXIS: f64 = 0.5;
 const WORTH_OF_LEFT: f64 = 0.1;
 
 /// ... and this share of what the others leave there if they are fitted without it, where one of them is of many laws: less trims its form.
-const WORTH_OF_TRIM: f64 = 0.6;
+const WORTH_OF_TRIM: f64 = 2.0 / 3.0;
 
 /// What a place of an effect is worth.
 #[derive(Clone, Copy)]
@@ -93,21 +93,31 @@ impl Search<'_> {
         let iterations = if self.is_spent() { 3 } else { 6 };
         let effort = Effort { iterations, ..self.effort() };
         let mut best = model;
+        let mut is_fitted = false;
         for t in 0..best.terms.len() {
             for place in best.terms[t].places.clone() {
-                let Place::Axis(axis) = place else { continue };
-                let is_asked =
-                    has_form_of_another(&best, t, axis) && !is_as_elsewhere(&best, t, place);
-                if best.terms[t].places.len() < 2 || !is_asked {
+                let axes = axes_seen(self.nominal, best.terms[t].effect, place);
+                let is_asked = matches!(place, Place::Axis(_))
+                    && best.terms[t].places.len() > 1
+                    && self.has_form_of_another(&best, t, axes)
+                    && !is_as_elsewhere(&best, t, place, |_| true);
+                if !is_asked {
                     continue;
+                }
+                // As far as what it is compared with.
+                if !is_fitted {
+                    let (terms, start): (Vec<Term>, Vec<Vec<f64>>) =
+                        start_terms(&best).into_iter().unzip();
+                    best = self.fit_model(terms, start.concat(), effort)?;
+                    is_fitted = true;
                 }
                 let name = best.terms[t].name();
                 let rest = best.part(|term, here| term.name() != name || here.places[0] != place);
                 let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = rest.into_iter().unzip();
                 let without = self.fit_model(terms, start.concat(), effort)?;
                 let [with, left] =
-                    [&best, &without].map(|model| self.left_on(&model.fit.stack, 1 << axis));
-                if left - with < WORTH_OF_TRIM * left {
+                    [&best, &without].map(|model| self.left_on(&model.fit.stack, axes));
+                if left - with < WORTH_OF_PLACE.max(WORTH_OF_TRIM * left) {
                     best = without;
                 }
             }
@@ -171,19 +181,21 @@ impl Search<'_> {
         }
         Ok(worth)
     }
-}
 
-/// Whether what an effect of many laws leaves is seen on an axis, other than that of term `t`: it is there, or on an axis that is tied to it.
-fn has_form_of_another(model: &Model, t: usize, axis: usize) -> bool {
-    let places = model.terms.iter().flat_map(|term| &term.places);
-    let tied = places.filter_map(|place| match *place {
-        Place::Pair { on, from } if on == axis => Some(from),
-        Place::Pair { on, from } if from == axis => Some(on),
-        _ => None,
-    });
-    let seen: Vec<usize> = tied.chain([axis]).collect();
-    let has_laws = |(other, term): (usize, &Term)| {
-        other != t && has_many_laws(term.name()) && term.axes().iter().any(|a| seen.contains(a))
-    };
-    model.terms.iter().enumerate().any(has_laws)
+    /// Whether what an effect of many laws, other than term `t`, leaves is seen on some of the `axes`: it acts there, or on an axis that is tied to one.
+    fn has_form_of_another(&self, model: &Model, t: usize, axes: u32) -> bool {
+        let places = model.terms.iter().flat_map(|term| &term.places);
+        let tied = places.fold(axes, |tied, place| match *place {
+            Place::Pair { on, from } if axes >> on & 1 == 1 || axes >> from & 1 == 1 => {
+                tied | 1 << on | 1 << from
+            }
+            _ => tied,
+        });
+        let is_seen = |term: &Term| {
+            let mut places = term.places.iter();
+            places.any(|&place| axes_seen(self.nominal, term.effect, place) & tied != 0)
+        };
+        let mut others = model.terms.iter().enumerate().filter(|(other, _)| *other != t);
+        others.any(|(_, term)| has_many_laws(term.name()) && is_seen(term))
+    }
 }

@@ -27,9 +27,7 @@ impl Search<'_> {
         for _ in 0..ROUNDS {
             self.swap_each(&at)?;
             // What leaves least may not be worth it where what keeps to axes of its own is.
-            let smaller = self.best_of(size - 1);
-            let worth_it = smaller.and_then(|smaller| self.worth_it_beyond(&smaller, size));
-            let Some(best) = worth_it.or_else(|| self.best_of(size)) else { break };
+            let Some(best) = self.chosen_of(size).or_else(|| self.best_of(size)) else { break };
             let best = self.plainest(best);
             let has_moved = best.key() != at.key();
             at = best;

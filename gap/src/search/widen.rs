@@ -20,7 +20,7 @@ const BEAM_OF_THIRD: usize = 2;
 const LEFT_OPEN: f64 = 0.02;
 /// How many of them.
 const LIKELIEST: usize = 2;
-/// Share of the gap that such a partner leaves by itself at most.
+/// Share of the gap that such a partner leaves by itself at most, unless it ties axes together as the first one does.
 const OF_USE: f64 = 0.8;
 
 impl Search<'_> {
@@ -96,7 +96,7 @@ impl Search<'_> {
         }
         // The best ones come first.
         let is_other = |m: &&Model| is_of_one_law(m) && m.key() != single.key();
-        // Of two that tie axes together one takes back what the other one does, and neither is of use alone.
+        // Of two that tie axes together one may take back what the other one does, and be of no use alone.
         let is_of_use = |m: &&Model| {
             m.fit.cost - self.noise < OF_USE * self.gap || (ties_axes(single) && ties_axes(m))
         };

@@ -20,6 +20,15 @@ const CLEARLY: f64 = 1.0;
 pub(crate) const WORTH_ABSOLUTE: f64 = 60.0;
 
 impl Search<'_> {
+    /// The model of `size` effects that is worth it beyond what was worth it with fewer.
+    pub(crate) fn chosen_of(&self, size: usize) -> Option<Model> {
+        match size {
+            0 => None,
+            1 => self.best_of(1),
+            _ => self.worth_it_beyond(&self.chosen_of(size - 1)?, size),
+        }
+    }
+
     /// The best model of `size` effects if it is worth it beyond `best`, or else the best one that has what that has on fewer axes.
     pub(crate) fn worth_it_beyond(&self, best: &Model, size: usize) -> Option<Model> {
         let is_worth_it = |model: &&Model| self.is_worth_more(best, model);

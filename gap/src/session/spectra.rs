@@ -177,9 +177,12 @@ pub(crate) fn push_apart(known: &mut Vec<f64>, hz: f64) {
     }
 }
 
+/// Frequency up to which what rings shows its alias, as a share of the loop's rate: a light mass on a stiff stack.
+const FASTEST_ALIAS: f64 = 0.6;
+
 /// Where each axis answers most beyond its model, likeliest first: the peak of the ratio of measured to simulated power, where the
-/// simulation moves by more than the noise, and the strongest line of what the model leaves, where it rings. Recordings that are slower than
-/// the loop, of `loop_hz`, may show the alias of a faster one: that comes last.
+/// simulation moves by more than the noise, and the strongest line of what the model leaves, where it rings. A line may be the alias of a faster
+/// one, up to a little more than half the rate of the loop, `loop_hz`: that comes last.
 pub(crate) fn resonances(scene: &Scene, raw: &Stack, loop_hz: f64) -> Vec<Vec<f64>> {
     let axes = scene.position_noise.len();
     let mut answers: Vec<BTreeMap<i64, (f64, f64)>> = vec![BTreeMap::new(); axes];
@@ -237,7 +240,7 @@ pub(crate) fn resonances(scene: &Scene, raw: &Stack, loop_hz: f64) -> Vec<Vec<f6
             let mut found: Vec<f64> = peak(cells).into_iter().collect();
             if power > 0.0 {
                 push_apart(&mut found, ring_hz);
-                if rate_hz - ring_hz < 0.5 * loop_hz {
+                if rate_hz - ring_hz < FASTEST_ALIAS * loop_hz {
                     push_apart(&mut found, rate_hz - ring_hz);
                 }
             }

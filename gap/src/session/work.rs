@@ -29,8 +29,12 @@ const HEAVY: [(&str, u64); 9] = [
     ("floor-hum", 10),
 ];
 /// The same for a law of an effect that has several, by the parameter that is not at its zero.
-const HEAVY_LAWS: [(&str, &str, u64); 2] =
-    [("hysteresis-rate", "per_decade", 17), ("hysteresis-rate", "strain_loss_v", 56)];
+const HEAVY_LAWS: [(&str, &str, u64); 3] = [
+    ("hysteresis-rate", "per_decade", 17),
+    // That of a power of the current, which a fit turns it into.
+    ("hysteresis-rate", "resistance_ohm", 29),
+    ("hysteresis-rate", "strain_loss_v", 56),
+];
 /// The same for one without.
 const PLAIN: u64 = 10;
 /// Effects that take a tick in parts: all of them where something asks for every part of every tick, however calm.
