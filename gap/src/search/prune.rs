@@ -25,6 +25,9 @@ const WORTH_OF_LEFT: f64 = 0.1;
 /// ... and this share of what the others leave there if they are fitted without it, where one of them is of many laws: less trims its form.
 const WORTH_OF_TRIM: f64 = 2.0 / 3.0;
 
+/// How the names of lines end.
+const HUM: &str = "-hum";
+
 /// What a place of an effect is worth.
 #[derive(Clone, Copy)]
 struct Worth {
@@ -97,7 +100,9 @@ impl Search<'_> {
         for t in 0..best.terms.len() {
             for place in best.terms[t].places.clone() {
                 let axes = axes_seen(self.nominal, best.terms[t].effect, place);
+                // No form leaves a line of one frequency.
                 let is_asked = matches!(place, Place::Axis(_))
+                    && !best.terms[t].name().ends_with(HUM)
                     && best.terms[t].places.len() > 1
                     && self.has_form_of_another(&best, t, axes)
                     && !is_as_elsewhere(&best, t, place, |_| true);

@@ -17,7 +17,7 @@ const MOST_PASSES: u64 = 850;
 /// blind set 18181 come that far.
 const MOST_BEYOND: u64 = 300_000_000;
 /// What a tick takes with an effect there, in tenths of one without, beyond it.
-const HEAVY: [(&str, u64); 9] = [
+const HEAVY: [(&str, u64); 12] = [
     ("friction", 25),
     ("hysteresis-shape", 8),
     ("stage-drag", 45),
@@ -27,6 +27,9 @@ const HEAVY: [(&str, u64); 9] = [
     ("second-mass", 40),
     ("inertia", 20),
     ("floor-hum", 10),
+    ("sensor-hum", 8),
+    ("amplifier-hum", 10),
+    ("sensor-drift", 5),
 ];
 /// The same for a law of an effect that has several, by the parameter that is not at its zero.
 const HEAVY_LAWS: [(&str, &str, u64); 3] = [
