@@ -91,7 +91,7 @@ impl Search<'_> {
     }
 
     /// `model` without the places of effects on several axes that only trim the form of an effect of many laws: with that one fitted again they
-    /// leave about as much of their axis. What ties axes together brings its form to others.
+    /// leave less than three times as much of their axis. What ties axes together brings its form to others.
     fn without_trims(&self, model: Model) -> Result<Model, Error> {
         let iterations = if self.is_spent() { 3 } else { 6 };
         let effort = Effort { iterations, ..self.effort() };

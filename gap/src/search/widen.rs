@@ -1,10 +1,8 @@
 //! One more effect beside the best models: those that a linear prediction promises something of, and those that it says nothing about.
 
-use host_sim::effects::Place;
-
 use crate::Error;
 use crate::fitting::fit::Sensitivities;
-use crate::fitting::knobs::{EffectRef, is_plain};
+use crate::fitting::knobs::{EffectRef, Knob, is_plain};
 use crate::fitting::model::{Model, Term, start_terms};
 use crate::judge::accept::has_many_laws;
 use crate::search::screen::Gain;
@@ -97,6 +95,7 @@ impl Search<'_> {
         // The best ones come first.
         let is_other = |m: &&Model| is_of_one_law(m) && m.key() != single.key();
         // Of two that tie axes together one may take back what the other one does, and be of no use alone.
+        let ties_axes = |m: &Model| m.fit.knobs.iter().any(Knob::couples);
         let is_of_use = |m: &&Model| {
             m.fit.cost - self.noise < OF_USE * self.gap || (ties_axes(single) && ties_axes(m))
         };
@@ -113,10 +112,4 @@ impl Search<'_> {
         let others = self.tried.iter().filter(is_other).filter(is_of_use);
         others.take(LIKELIEST).map(of_model).collect()
     }
-}
-
-/// Whether an effect of a model acts between axes.
-fn ties_axes(model: &Model) -> bool {
-    let mut places = model.terms.iter().flat_map(|term| &term.places);
-    places.any(|place| matches!(place, Place::Pair { .. }))
 }
