@@ -232,6 +232,13 @@ fn answer(
             "Every recording begins with a stack that no longer creeps from the one before.".into()
         });
     }
+    if found.as_ref().is_some_and(Found::wanders) {
+        notes.push(
+            "The gauge drifts without a period. The rig file has the drift of this session, which stays where it is at its end: what it will be \
+             in recordings made later, no model tells."
+                .into(),
+        );
+    }
     let is_open = matches!(verdict, Verdict::Unexplained | Verdict::PartlyExplained);
     let rest = is_open.then(|| rest::rest(scene, raw_before, &honest_after));
     let diagnosis = Diagnosis {

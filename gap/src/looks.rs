@@ -19,7 +19,14 @@ use crate::search::found::{self, Found};
 use crate::session::energy::Energies;
 use crate::session::floor::Kind;
 use crate::session::scene::{Channel, Scene, Stack, TOLERANCE, Wanted};
-use crate::session::split::{hold_out_last_third_of_gap, split};
+use crate::session::split::{hold_out_last_third_of_gap, split, split_blocks};
+
+/// What a reader is told where whole recordings that are held out would check nothing.
+const LAST_THIRD: &str = "The gap, or that of an axis, shows in few recordings, each of them unlike the others: the end of every recording, \
+                          with a third of its gap, was held out instead of whole recordings.";
+/// ... and where a drift without a period goes on in them, which nothing foretells.
+const DRIFT_IN_BLOCKS: &str = "A drift without a period is known between two times of measurement, but not beyond: two fifths of every recording, in \
+                               two parts, were held out instead of whole recordings.";
 
 /// What all looks at a session share.
 pub(crate) struct Looks<'a> {
@@ -85,7 +92,10 @@ impl Looks<'_> {
             (0..gaps.len()).all(|axis| !gaps[axis].counts || masked.axes.contains(&axis))
         };
         let is_strange = judged.masked.as_ref().is_some_and(accounts_for_all);
-        let looks_again = !missed.is_empty() && first.scene.tracks.len() >= 3 && !by_blocks;
+        let wanders = first.found.as_ref().is_some_and(Found::wanders);
+        let looks_again = (!missed.is_empty() || wanders && open.is_infinite())
+            && first.scene.tracks.len() >= 3
+            && !by_blocks;
         if is_strange || !looks_again || !self.fits(&first, excess)? || first.scene.work.is_spent()
         {
             return Ok((first, judged));
@@ -94,7 +104,8 @@ impl Looks<'_> {
         let second = self.second(&first, &missed, excess, bar)?;
         let mut notes = Vec::new();
         if second.scene.channels.len() > first.scene.channels.len() {
-            notes.push("The gap, or that of an axis, shows in few recordings, each of them unlike the others: the end of every recording, with a third of its gap, was held out instead of whole recordings.".into());
+            let note = if wanders { DRIFT_IN_BLOCKS } else { LAST_THIRD };
+            notes.push(note.into());
         }
         // The look stands that closes more of the whole session where it is believed.
         let believed = self.believed(&second, second.found.clone(), &mut notes)?;
@@ -132,10 +143,18 @@ impl Looks<'_> {
         let mut scene = first.scene.clone();
         split(&mut scene, missed);
         let mut nominal = first.nominal.clone();
+        let wanders = first.found.as_ref().is_some_and(Found::wanders);
         let is_unchecked =
             |axis: usize| nominal.gaps[axis].counts && !is_held_out_on(&scene, excess, axis);
-        if !can_contradict(&scene, excess) || (0..self.rig.axes.len()).any(is_unchecked) {
-            hold_out_last_third_of_gap(&mut scene, &nominal.raw);
+        if wanders
+            || !can_contradict(&scene, excess)
+            || (0..self.rig.axes.len()).any(is_unchecked)
+        {
+            if wanders {
+                split_blocks(&mut scene);
+            } else {
+                hold_out_last_third_of_gap(&mut scene, &nominal.raw);
+            }
             scene.set_aside_memory(self.rig)?;
             let white = scene.residuals_at(self.rig, Wanted::ALL, |_| true)?;
             nominal = Nominal::new(&mut scene, self.rig, &white)?;

@@ -79,3 +79,11 @@ fn springs_that_take_back_what_crosstalk_does_are_found_beside_it() {
     let named = [("drive-crosstalk", &[1, 2, 3][..]), ("stiffness-coupling", &[1, 2])];
     assert_explained(&diagnosis, &named);
 }
+
+#[test]
+fn a_drift_is_no_trim_of_a_mass_that_rings() {
+    // Nineteen noises of drift are next to nothing of the cost beside a resonance that one sweep shows.
+    let diagnosis = drawn(29292, 110, &["second-mass", "sensor-drift"]);
+    let named = [("sensor-drift", &[1, 2, 3][..]), ("second-mass", &[1, 3])];
+    assert_explained(&diagnosis, &named);
+}

@@ -67,6 +67,47 @@ fn a_gauge_that_drifts_to_and_fro_drifts() {
     assert!((140.0..160.0).contains(&cycle_s), "{cycle_s}");
 }
 
+/// What 3301 is drawn from.
+const FURTHER: [&str; 11] = [
+    "amplifier-current-limit",
+    "amplifier-hum",
+    "sensor-hum",
+    "hysteresis-rate",
+    "creep",
+    "stiffness-hardening",
+    "second-mass",
+    "viscoelasticity",
+    "friction",
+    "sensor-nonlinearity",
+    "sensor-drift",
+];
+
+#[test]
+fn a_gauge_that_wanders_without_a_period_drifts() {
+    let diagnosis = drawn_in_a_further_form(3301, 18, "sensor-drift", &FURTHER);
+    assert_explained(&diagnosis, &[("sensor-drift", &[2][..])]);
+    assert!(diagnosis.gap.closed > 0.98, "{}", diagnosis.gap.closed);
+    assert!(diagnosis.causes[0].parameters.contains_key("wander_1_m"));
+    assert!(diagnosis.notes.iter().any(|note| note.contains("no model tells")));
+}
+
+#[test]
+fn the_supply_of_a_railway_hums() {
+    let diagnosis = drawn_in_a_further_form(3301, 32, "sensor-hum", &FURTHER);
+    assert_explained(&diagnosis, &[("sensor-hum", &[1][..])]);
+    let frequency_hz = diagnosis.causes[0].parameters["frequency_hz"].value;
+    assert!((frequency_hz - 16.7).abs() < 1e-3, "{frequency_hz}");
+}
+
+#[test]
+fn a_drift_without_a_period_is_checked_between_what_is_fitted() {
+    // Recordings in a row are held out at first, in which it goes where it likes.
+    let diagnosis = drawn_in_a_further_form(3301, 30, "sensor-drift", &FURTHER);
+    assert_explained(&diagnosis, &[("sensor-drift", &[1, 2, 3][..])]);
+    assert!(diagnosis.gap.closed > 0.98, "{}", diagnosis.gap.closed);
+    assert!(diagnosis.notes.iter().any(|note| note.contains("two fifths of every recording")));
+}
+
 #[test]
 fn a_gauge_that_warms_up_is_no_wrong_gain() {
     let diagnosis = drawn_of_the_paper(2020, 67, &["unknown"]);

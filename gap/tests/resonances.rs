@@ -106,3 +106,11 @@ fn a_light_mass_that_rings_just_beyond_half_the_rate_of_the_loop_is_found_by_its
     let diagnosis = common::drawn(27272, 56, &["inertia"]);
     common::assert_explained(&diagnosis, &[("inertia", &[3][..])]);
 }
+
+#[test]
+fn two_parts_that_ring_as_loud_as_each_other_are_found() {
+    // The first one alone accounts for less than half of the gap.
+    let diagnosis = common::drawn(29292, 113, &["second-mass"]);
+    common::assert_explained(&diagnosis, &[("second-mass", &[3][..])]);
+    assert!(diagnosis.gap.closed > 0.99, "{}", diagnosis.gap.closed);
+}

@@ -225,4 +225,11 @@ fn sensor_effects_act_on_the_reading() {
     let values = [("swing_sin_m", 3e-8), ("swing_cos_m", 2e-8), ("cycle_s", cycle_s)];
     let swing = run_from(&single("sensor-drift", &values), 1e3, 600.0, 2.0, |_, _| 0.0);
     assert!((swing.position_m[0][1000] - 3e-8 + 2e-8).abs() < 1e-13);
+    // Without a period: over 900 s, the third part has made 5/3 quarter turns after 300 s. It stays where it is from the end on.
+    let values = [("wander_1_m", 4e-8), ("wander_3_m", 3e-8), ("wander_s", 900.0)];
+    for (start_s, expected_m) in [(299.0, 0.5 * 4e-8 + 0.5 * 3e-8), (899.0, 7e-8), (2000.0, 7e-8)] {
+        let walk = run_from(&single("sensor-drift", &values), 1e3, start_s, 2.0, |_, _| 0.0);
+        let off_m = walk.position_m[0][1000] - expected_m;
+        assert!(off_m.abs() < 1e-13, "after {start_s} s and one more: {off_m} m");
+    }
 }

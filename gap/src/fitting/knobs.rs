@@ -212,27 +212,57 @@ pub(crate) fn is_plain(effect: EffectRef) -> bool {
 }
 
 /// Parameters of an effect that has laws of its own kind, or parts, one list each: a fit that starts from one of them stays with it.
-const LAWS: [(&str, [&[&str]; 2]); 4] = [
+const LAWS: [(&str, &[&[&str]]); 4] = [
     (
         "hysteresis-rate",
-        [
+        &[
             &["per_decade", "reference_a", "stiffening", "resistance_ohm", "loss_exponent"],
             &["strain_loss_v", "strain_loss_a", "strain_onset"],
         ],
     ),
     (
         "sensor-drift",
-        [&["rate_m_per_s", "settling_m", "settling_s"], &["swing_sin_m", "swing_cos_m", "cycle_s"]],
+        &[
+            &["rate_m_per_s", "settling_m", "settling_s"],
+            &["swing_sin_m", "swing_cos_m", "cycle_s"],
+            &WANDERS,
+        ],
     ),
-    ("creep", [&["per_decade", "onset_s"], &["level", "tilt"]]),
+    ("creep", &[&["per_decade", "onset_s"], &["level", "tilt"]]),
     (
         "second-mass",
-        [
+        &[
             &["mass_kg", "frequency_hz", "damping_ratio"],
             &["further_kg", "further_hz", "further_damping"],
         ],
     ),
 ];
+
+/// Sizes of a drift without a period, slowest part first.
+pub(crate) const WANDERS: [&str; 16] = [
+    "wander_1_m",
+    "wander_2_m",
+    "wander_3_m",
+    "wander_4_m",
+    "wander_5_m",
+    "wander_6_m",
+    "wander_7_m",
+    "wander_8_m",
+    "wander_9_m",
+    "wander_10_m",
+    "wander_11_m",
+    "wander_12_m",
+    "wander_13_m",
+    "wander_14_m",
+    "wander_15_m",
+    "wander_16_m",
+];
+/// ... and the time over which it is described.
+pub(crate) const WANDER_S: &str = "wander_s";
+
+/// Where a random walk is expected to come to over a session, standard deviation, m. Between what was recorded it is taken to go straight, whatever
+/// this is.
+const WANDERS_TO_M: f64 = 0.3e-6;
 
 /// Parameters that stay at their lower bound in a fit that starts there: a variety of the effect, of which there are starts of its own.
 const STAYS: [(&str, &str); 2] =
@@ -298,6 +328,16 @@ pub fn knobs_at(effect: EffectRef, place: Place, ranges: &Ranges) -> Vec<Knob> {
                     if p.name == "further_hz" { FASTEST_FURTHER_MODE } else { FASTEST_MODE };
                 knob.max = knob.max.min(fastest * ranges.rate_hz);
                 knob.fixed_step = Some(MODE_STEP);
+            }
+            if p.name == WANDER_S {
+                let session_s = ranges.session_s.clamp(p.min, p.max);
+                (knob.min, knob.max) = (session_s, session_s);
+            }
+            // The terms of a random walk's series: their standard deviations go with 1 over the order.
+            if let Some(order) = WANDERS.iter().position(|name| *name == p.name) {
+                let quarters = (order as f64 + 0.5) * std::f64::consts::PI;
+                let sd = WANDERS_TO_M * std::f64::consts::SQRT_2 / quarters / knob.scale;
+                knob.prior = Some(Prior { centre: 0.0, sd });
             }
             // A bend that ends far beyond the travel is a gain.
             if (info.name, p.name) == ("sensor-nonlinearity", "zero_m") {

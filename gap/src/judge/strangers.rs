@@ -14,6 +14,7 @@ use crate::fitting::knobs::{EffectRef, axes_seen};
 use crate::fitting::model::{Model, Term, start_terms};
 use crate::search::found::{Found, keep};
 use crate::search::select::Search;
+use crate::search::wander::wanders;
 use crate::search::worth::WORTH_ABSOLUTE;
 use crate::session::scene::{Channel, Scene, Stack, Wanted, dot};
 
@@ -21,6 +22,8 @@ use crate::session::scene::{Channel, Scene, Stack, Wanted, dot};
 const OPEN: f64 = 1.0e-3;
 /// Most that a stranger may leave, as a share of what as many causes leave.
 const CLEARLY_LESS: f64 = 0.5;
+/// ... in the place of a drift without a period, which has a dozen numbers more.
+const AS_DRIFT: f64 = 3.0;
 
 /// Most that a stranger may leave of any recording, as a multiple of what the causes leave of it.
 const MORE: f64 = 1.2;
@@ -53,11 +56,15 @@ pub(crate) fn unmask(
         }
     }
     let Some((model, gone)) = best else { return Ok(None) };
+    let goes = |(term, values): &(Term, Vec<f64>)| {
+        gone.contains(&term.name()) && wanders(term, values)
+    };
+    let is_loose = start_terms(&found.model).iter().any(goes);
     keep(rig, found, |_, alone| !gone.contains(&alone.name()))?;
     Ok(model.terms.last().map(|term| Masked {
         stage: term.effect.info().stage.name(),
         axes: term.axes(),
-        words: sentence(&model, &gone),
+        words: sentence(&model, &gone, is_loose),
     }))
 }
 
@@ -113,12 +120,18 @@ fn instead(
         // What axes have that the causes do not reach is not for the stranger to close.
         let axes = reach(rig, model);
         let [ours, theirs] = [&other, model].map(|model| left_on(&model.fit.stack, axes));
-        let is_better = if other.terms.len() < all {
-            ours < theirs.max(0.0) + worth
-        } else {
-            ours < CLEARLY_LESS * theirs && model.fit.cost - other.fit.cost > worth
+        let goes = |(t, (term, values)): (usize, &(Term, Vec<f64>))| {
+            !kept.contains(&t) && wanders(term, values)
         };
-        let is_better = is_better && nowhere_more(scene, [&other, model], worth);
+        let is_better = if start_terms(model).iter().enumerate().any(goes) {
+            ours < AS_DRIFT * theirs.max(0.0) + worth
+        } else if other.terms.len() < all {
+            ours < theirs.max(0.0) + worth && nowhere_more(scene, [&other, model], worth)
+        } else {
+            ours < CLEARLY_LESS * theirs
+                && model.fit.cost - other.fit.cost > worth
+                && nowhere_more(scene, [&other, model], worth)
+        };
         let is_best = best.as_ref().is_none_or(|best| other.fit.cost < best.fit.cost);
         if is_better && is_best {
             best = Some(other);
@@ -147,8 +160,9 @@ fn reach(rig: &Rig, model: &Model) -> u32 {
     places.fold(0, |axes, (term, place)| axes | axes_seen(rig, term.effect, place))
 }
 
-/// What a person is told of a model whose last term is a stranger that stands where the causes of these names were.
-fn sentence(model: &Model, gone: &[&str]) -> String {
+/// What a person is told of a model whose last term is a stranger that stands where the causes of these names were; `is_loose`: with a drift without
+/// a period among them.
+fn sentence(model: &Model, gone: &[&str], is_loose: bool) -> String {
     let last = model.terms.len() - 1;
     let term = &model.terms[last];
     let info = term.effect.info();
@@ -163,11 +177,17 @@ fn sentence(model: &Model, gone: &[&str]) -> String {
             told.map(|(p, value)| format!("{} {value:.4} {}", p.name, p.unit)).collect();
         let _ = write!(sizes, "{}; ", told.join(", "));
     }
+    let why = if gone.len() > 1 {
+        "does so by itself"
+    } else if is_loose {
+        "does so with far fewer numbers"
+    } else {
+        "leaves clearly less"
+    };
     format!(
-        "{} would account for much of the gap, but {} {} ({}). {} It is not in the catalogue, so no cause is named for it.",
+        "{} would account for much of the gap, but {} {why} ({}). {} It is not in the catalogue, so no cause is named for it.",
         gone.join(" and "),
         info.name,
-        if gone.len() > 1 { "does so by itself" } else { "leaves clearly less" },
         sizes.trim_end_matches("; "),
         info.physics
     )

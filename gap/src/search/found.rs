@@ -18,6 +18,7 @@ use crate::judge::ambiguity::{self, Standings};
 use crate::judge::monitors::{self, Missing};
 use crate::search::last_axis::is_as_elsewhere;
 use crate::search::select::{Breadth, Search};
+use crate::search::wander::wanders;
 use crate::session::energy::{Energies, HAS_GAP};
 use crate::session::scene::{Channel, Scene, Stack, Wanted};
 
@@ -38,6 +39,13 @@ pub(crate) struct Found {
     pub missed: Vec<usize>,
     /// The causes account for slow motion only.
     pub band: Option<Band>,
+}
+
+impl Found {
+    /// Whether a drift without a period is part of the answer.
+    pub(crate) fn wanders(&self) -> bool {
+        start_terms(&self.model).iter().any(|(term, values)| wanders(term, values))
+    }
 }
 
 /// Search the fitted recordings, beside what `before` found in others, and check the model on those that were not fitted.
@@ -305,8 +313,11 @@ pub(crate) fn abstain(
     let whole = Energies::new(scene, raw_before, &after, &everything);
     let overall = whole.gap(axes).closed;
     let has_laws = |axis: usize| {
-        let terms = &found.model.terms;
-        terms.iter().any(|t| accept::has_many_laws(t.name()) && reaches(rig, t, axis))
+        let terms = start_terms(&found.model);
+        let has_laws = |(term, values): &(Term, Vec<f64>)| {
+            accept::has_many_laws(term.name()) || wanders(term, values)
+        };
+        terms.iter().any(|known| has_laws(known) && reaches(rig, &known.0, axis))
     };
     let mut trusted = accept::trusted(&whole, gaps, has_laws);
     let abstained: Vec<String> =

@@ -15,7 +15,7 @@ const MASS: &str = "second-mass";
 /// Share of what the first part leaves that both of them may leave at most: what is missing besides a mass is nibbled at by a second one.
 const MUCH_LESS: f64 = 0.3;
 /// Share of the gap that the first part leaves at most.
-const MOST: f64 = 0.5;
+const MOST: f64 = 0.75;
 /// ... and as a multiple of what the best model leaves: two parts that swing would not catch up with it.
 const BEHIND: f64 = 3.0;
 /// Mass of the further part that is tried, as a share of the first one's.

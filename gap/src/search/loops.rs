@@ -28,6 +28,8 @@ const FRICTION: &str = "friction";
 
 /// Share of the gap of an axis that the plain loop must account for, alone or beside others, on an axis that counts.
 const PLAIN_LOOP: f64 = 0.2;
+/// ... or this one, where no other effect accounts for half of the gap.
+const PLAIN_LOOP_AT_LEAST: f64 = 0.03;
 /// Share of the whole gap that makes an axis count.
 const COUNTS: f64 = 0.1;
 /// Share of what the plain loop alone leaves on these axes that any loop alone may leave at most: else its law was not what was missing.
@@ -95,7 +97,10 @@ impl Search<'_> {
     ) -> Result<Option<Model>, Error> {
         let is_loop = |model: &&Model| model.key() == [LOOP];
         let alone = self.tried.iter().find(is_loop).cloned();
-        let own = alone.map(|alone| (self.axes_of_loop(&alone, &self.base, &self.base), alone));
+        let is_open = |m: &Model| m.fit.cost - self.noise > HALF * self.gap;
+        let nothing_is_known = plain.as_ref().is_none_or(is_open);
+        let share = if nothing_is_known { PLAIN_LOOP_AT_LEAST } else { PLAIN_LOOP };
+        let own = alone.map(|alone| (self.axes_of_loop(&alone, &self.base, &self.base, share), alone));
         // What is loud and none of a loop hides one that stands beside it.
         let beside = plain.as_ref().and_then(|plain| {
             let beside = self.loop_beside_others(plain, |_| &self.base);
@@ -290,12 +295,12 @@ impl Search<'_> {
     }
 
     /// Axes (a mask) on which the loop of a model, beside what leaves `without` it, is a good part of the answer to what `asks`.
-    fn axes_of_loop(&self, model: &Model, without: &Stack, asks: &Stack) -> u32 {
+    fn axes_of_loop(&self, model: &Model, without: &Stack, asks: &Stack, share: f64) -> u32 {
         let whole = self.left_on(asks, u32::MAX);
         (0..self.nominal.axes.len()).map(|axis| 1 << axis).fold(0, |axes, bit| {
             let gap = self.left_on(asks, bit);
             let saved = self.left_on(without, bit) - self.left_on(&model.fit.stack, bit);
-            if gap > COUNTS * whole && saved > PLAIN_LOOP * gap { axes | bit } else { axes }
+            if gap > COUNTS * whole && saved > share * gap { axes | bit } else { axes }
         })
     }
 
@@ -324,7 +329,7 @@ impl Search<'_> {
         let Some(nth) = bound.terms.iter().position(|t| t.name() == LOOP) else { return Ok(None) };
         let without = bound.without(self.nominal, nth, |_| true)?;
         let without = self.scene.residuals_at(&without, Wanted::ALL, self.include)?;
-        Ok(Some((self.axes_of_loop(&bound, &without, &self.base), bound)))
+        Ok(Some((self.axes_of_loop(&bound, &without, &self.base, PLAIN_LOOP), bound)))
     }
 
     /// A model of several effects with a loop among them that is a good part of the answer on some axes. Friction is left out: it makes
@@ -344,7 +349,7 @@ impl Search<'_> {
         let at = names.iter().position(|name| *name == LOOP)?;
         names.remove(at);
         let without = if names.is_empty() { &self.base } else { &with(&names)?.fit.stack };
-        let axes = self.axes_of_loop(&bound, without, asks(without));
+        let axes = self.axes_of_loop(&bound, without, asks(without), PLAIN_LOOP);
         (axes != 0).then_some((axes, bound))
     }
 }

@@ -5,7 +5,7 @@
 //! | what each effect of the catalogue promises, by sensitivities | [`screen`], `direction` |
 //! | the most promising ones alone, on all axes and on each one | [`select`], `each_axis` |
 //! | one more effect beside the best, up to three | `widen`, `compose`, `joint` |
-//! | where a fit starts that does not get there by itself | `resonance`, `alike`, `threshold`, `variety`, `further_mode`, `pairs` |
+//! | where a fit starts that does not get there by itself | `resonance`, `alike`, `threshold`, `variety`, `further_mode`, `wander`, `pairs` |
 //! | what is not worth fitting to the end, and what is worth an effect more | `few`, `worth` |
 //! | other effects in the place of those chosen, fewer, none where they do nothing | `swap`, `trade`, `fewer`, `prune` |
 //! | loops of any law | `loops` |
@@ -32,5 +32,6 @@ mod swap;
 mod threshold;
 mod trade;
 mod variety;
+pub(crate) mod wander;
 mod widen;
 pub(crate) mod worth;

@@ -122,7 +122,12 @@ impl Search<'_> {
                 let without = self.fit_model(terms, start.concat(), effort)?;
                 let [with, left] =
                     [&best, &without].map(|model| self.left_on(&model.fit.stack, axes));
-                if left - with < WORTH_OF_PLACE.max(WORTH_OF_TRIM * left) {
+                // What drifts is many nanometres and little cost: a resonance that is met to a percent leaves more of that.
+                let [with_energy, left_energy] =
+                    [&best, &without].map(|model| self.scene.excess_on(&model.fit.stack, axes));
+                if left - with < WORTH_OF_PLACE.max(WORTH_OF_TRIM * left)
+                    && left_energy - with_energy < WORTH_OF_TRIM * left_energy
+                {
                     best = without;
                 }
             }

@@ -312,6 +312,7 @@ impl<'a> Search<'a> {
         let model = self.other_variety(model, effort)?;
         let model = self.other_law(model, &start, effort)?;
         let model = self.further_mode(model, effort)?;
+        let model = self.wandering(model, effort)?;
         self.even_out(model, effort)
     }
 

@@ -141,7 +141,13 @@ impl Scene {
 
     /// Energy of positions beyond noise in a whitened stack, the weights undone.
     pub fn excess(&self, stack: &Stack) -> f64 {
-        let rows = stack.iter().zip(&self.channels).filter(|(_, c)| c.kind == Kind::Position);
+        self.excess_on(stack, u32::MAX)
+    }
+
+    /// The same on the axes in the mask alone.
+    pub fn excess_on(&self, stack: &Stack, axes: u32) -> f64 {
+        let is_asked = |c: &Channel| c.kind == Kind::Position && axes >> c.axis & 1 == 1;
+        let rows = stack.iter().zip(&self.channels).filter(|(_, c)| is_asked(c));
         rows.filter_map(|(row, c)| row.as_ref().map(|row| c.excess(row))).sum()
     }
 

@@ -56,8 +56,8 @@ fn mean_spectrum(row: &[f32], rate_hz: f64) -> (f64, Vec<f64>) {
     (step, sum)
 }
 
-/// Slowest hum, Hz: mains and supplies are faster, and what stands out below is a harmonic of a slow drive, a nonlinearity.
-pub(crate) const SLOWEST_HUM_HZ: f64 = 20.0;
+/// Slowest hum, Hz: railways have 16.7, mains and supplies more, and what stands out below is a harmonic of a slow drive, a nonlinearity.
+pub(crate) const SLOWEST_HUM_HZ: f64 = 15.0;
 
 /// Lines that are looked at for harmonics.
 const MOST_LINES: usize = 8;

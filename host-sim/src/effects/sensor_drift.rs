@@ -1,6 +1,6 @@
 //! sensor-drift: the zero of the gauge wanders with session time.
 
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 
 use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
 use crate::stages::model::{Model, SensorBlock};
@@ -21,10 +21,27 @@ static INFO: Info = Info {
         Parameter::size("swing_sin_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "drift to and fro, as a sine from where the session's clock begins"),
         Parameter::size("swing_cos_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "... as a cosine, down from its crest"),
         Parameter::shape("cycle_s", "s", (10.0, 1.0e5), 300.0, "time in which it comes and goes").by_ratio(),
+        Parameter::size("wander_1_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "drift without a period: sine of one quarter turn over wander_s"),
+        Parameter::size("wander_2_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "... sine of 3 quarter turns"),
+        Parameter::size("wander_3_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "... sine of 5 quarter turns"),
+        Parameter::size("wander_4_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "... sine of 7 quarter turns"),
+        Parameter::size("wander_5_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "... sine of 9 quarter turns"),
+        Parameter::size("wander_6_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "... sine of 11 quarter turns"),
+        Parameter::size("wander_7_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "... sine of 13 quarter turns"),
+        Parameter::size("wander_8_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "... sine of 15 quarter turns"),
+        Parameter::size("wander_9_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "... sine of 17 quarter turns"),
+        Parameter::size("wander_10_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "... sine of 19 quarter turns"),
+        Parameter::size("wander_11_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "... sine of 21 quarter turns"),
+        Parameter::size("wander_12_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "... sine of 23 quarter turns"),
+        Parameter::size("wander_13_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "... sine of 25 quarter turns"),
+        Parameter::size("wander_14_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "... sine of 27 quarter turns"),
+        Parameter::size("wander_15_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "... sine of 29 quarter turns"),
+        Parameter::size("wander_16_m", "m", 0.0, (-1.0e-4, 1.0e-4), 5.0e-8, "... sine of 31 quarter turns"),
+        Parameter::shape("wander_s", "s", (1.0, 1.0e6), 60.0, "time over which it wanders: the session's").by_ratio(),
     ],
     threshold: false,
-    physics: "y = x + rate t + settling (1 - e^(-t/settling_s)) + swing_sin sin(w t) + swing_cos (cos(w t) - 1), w = 2 pi/cycle_s, t on the \
-              session's clock, running on between files: warm electronics, thermal expansion, a room whose air conditioning cycles. Ignores the \
+    physics: "y = x + rate t + settling (1 - e^(-t/settling_s)) + swing_sin sin(w t) + swing_cos (cos(w t) - 1), w = 2 pi/cycle_s, or y = x + \
+              sum of wander_k sin((k - 1/2) pi t/wander_s), the first terms of a random walk's Karhunen-Loeve series, t on the session's clock, running on between files: warm electronics, thermal expansion, a room whose air conditioning cycles, or nothing in particular. Ignores the \
               input.",
     source: "stack -70 nm/K, frame 0.53 um/K, warm-up in minutes, rooms that cycle in minutes (notes/physics.md, section 4)",
     revealed_by: "rest at the start and the end of a session; the same probe repeated",
@@ -38,6 +55,29 @@ struct Drift {
     swing_sin_m: f64,
     swing_cos_m: f64,
     rad_per_s: f64,
+    wander_m: [f64; WANDERS],
+    wander_s: f64,
+}
+
+/// Terms of a random walk's series.
+const WANDERS: usize = 16;
+
+impl Drift {
+    /// Drift of a random walk at a time, m: sum of a_k sin((k - 1/2) pi t/T) (Loeve, Probability Theory, 1955, section 34).
+    fn wandered_m(&self, time_s: f64) -> f64 {
+        // sin((k + 1) a) = 2 cos(a) sin(k a) - sin((k - 1) a): in steps of two quarter turns.
+        // Beyond the end it stays where it is, which is where a random walk is expected.
+        let quarter = 0.5 * PI * (time_s / self.wander_s).min(1.0);
+        let (sin, cos) = quarter.sin_cos();
+        let twice = 2.0 * (cos * cos - sin * sin);
+        let (mut before, mut now) = (-sin, sin);
+        let mut sum = 0.0;
+        for size in self.wander_m {
+            sum += size * now;
+            (before, now) = (now, twice * now - before);
+        }
+        sum
+    }
 }
 
 impl SensorBlock for Drift {
@@ -45,7 +85,7 @@ impl SensorBlock for Drift {
         let settles = -self.settling_m * (-time_s / self.settling_s).exp_m1();
         let (sin, cos) = (self.rad_per_s * time_s).sin_cos();
         let swings = self.swing_sin_m * sin + self.swing_cos_m * (cos - 1.0);
-        value_m + self.rate * time_s + settles + swings
+        value_m + self.rate * time_s + settles + swings + self.wandered_m(time_s)
     }
 }
 
@@ -62,6 +102,8 @@ impl Effect for SensorDrift {
             swing_sin_m: values[3],
             swing_cos_m: values[4],
             rad_per_s: TAU / values[5],
+            wander_m: std::array::from_fn(|k| values[6 + k]),
+            wander_s: values[6 + WANDERS],
         };
         model.axes[place.on()].sensor.blocks.push(Box::new(drift));
     }

@@ -23,7 +23,9 @@ pub(super) fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside: &Outs
     }
     let mut force = outside.force_n + transformer * state.creep_v;
     if let Rate::Late(volts, rate) = axis.rate {
-        force -= transformer * volts * (state.charge_rate / rate).asinh();
+        // That of the drive, as for the loop that grows below: with that of the charge, a tenth of a millisecond late, a stack of a large loss
+        // chatters where it stands.
+        force -= transformer * volts * (state.drive_rate / rate).asinh();
     }
     // Each of these is linear in the new position: value and slope at the old one.
     let here = state.position_m;
