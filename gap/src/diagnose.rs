@@ -232,12 +232,13 @@ fn answer(
             "Every recording begins with a stack that no longer creeps from the one before.".into()
         });
     }
-    if found.as_ref().is_some_and(Found::wanders) {
-        notes.push(
-            "The gauge drifts without a period. The rig file has the drift of this session, which stays where it is at its end: what it will be \
-             in recordings made later, no model tells."
-                .into(),
-        );
+    let wandering = found.as_ref().map_or_else(Vec::new, Found::wandering);
+    if !wandering.is_empty() {
+        notes.push(format!(
+            "{} goes without a period here. The rig file has it as it was in this session: what it will be in recordings made later, no model \
+             tells, and the gap of those will not close by as much.",
+            wandering.join(" and ")
+        ));
     }
     let is_open = matches!(verdict, Verdict::Unexplained | Verdict::PartlyExplained);
     let rest = is_open.then(|| rest::rest(scene, raw_before, &honest_after));

@@ -24,9 +24,12 @@ use crate::session::split::{hold_out_last_third_of_gap, split, split_blocks};
 /// What a reader is told where whole recordings that are held out would check nothing.
 const LAST_THIRD: &str = "The gap, or that of an axis, shows in few recordings, each of them unlike the others: the end of every recording, \
                           with a third of its gap, was held out instead of whole recordings.";
-/// ... and where a drift without a period goes on in them, which nothing foretells.
-const DRIFT_IN_BLOCKS: &str = "A drift without a period is known between two times of measurement, but not beyond: two fifths of every recording, in \
+/// ... and where a drift or the phase of a hum goes without a period in them, which nothing foretells.
+const IN_BLOCKS: &str = "What goes without a period is known between two times of measurement, but not beyond: two fifths of every recording, in \
                                two parts, were held out instead of whole recordings.";
+
+/// Share of the session's gap that causes without a period may leave for no other look to be taken.
+const MOSTLY_OPEN: f64 = 0.1;
 
 /// What all looks at a session share.
 pub(crate) struct Looks<'a> {
@@ -92,8 +95,9 @@ impl Looks<'_> {
             (0..gaps.len()).all(|axis| !gaps[axis].counts || masked.axes.contains(&axis))
         };
         let is_strange = judged.masked.as_ref().is_some_and(accounts_for_all);
-        let wanders = first.found.as_ref().is_some_and(Found::wanders);
-        let looks_again = (!missed.is_empty() || wanders && open.is_infinite())
+        let wanders = first.found.as_ref().is_some_and(|found| !found.wandering().is_empty());
+        let is_open = open > MOSTLY_OPEN * Self::gap_of(&first);
+        let looks_again = (!missed.is_empty() || wanders && is_open)
             && first.scene.tracks.len() >= 3
             && !by_blocks;
         if is_strange || !looks_again || !self.fits(&first, excess)? || first.scene.work.is_spent()
@@ -104,7 +108,7 @@ impl Looks<'_> {
         let second = self.second(&first, &missed, excess, bar)?;
         let mut notes = Vec::new();
         if second.scene.channels.len() > first.scene.channels.len() {
-            let note = if wanders { DRIFT_IN_BLOCKS } else { LAST_THIRD };
+            let note = if wanders { IN_BLOCKS } else { LAST_THIRD };
             notes.push(note.into());
         }
         // The look stands that closes more of the whole session where it is believed.
@@ -143,12 +147,10 @@ impl Looks<'_> {
         let mut scene = first.scene.clone();
         split(&mut scene, missed);
         let mut nominal = first.nominal.clone();
-        let wanders = first.found.as_ref().is_some_and(Found::wanders);
+        let wanders = first.found.as_ref().is_some_and(|found| !found.wandering().is_empty());
         let is_unchecked =
             |axis: usize| nominal.gaps[axis].counts && !is_held_out_on(&scene, excess, axis);
-        if wanders
-            || !can_contradict(&scene, excess)
-            || (0..self.rig.axes.len()).any(is_unchecked)
+        if wanders || !can_contradict(&scene, excess) || (0..self.rig.axes.len()).any(is_unchecked)
         {
             if wanders {
                 split_blocks(&mut scene);
@@ -175,6 +177,12 @@ impl Looks<'_> {
         let Some(found) = found else { return Ok(None) };
         let Looked { scene, nominal, .. } = look;
         found::abstain(self.rig, scene, found, &nominal.raw, &nominal.gaps, notes)
+    }
+
+    /// Energy of the whole session that the rig as given leaves.
+    fn gap_of(look: &Looked) -> f64 {
+        let raw = &look.nominal.raw;
+        Energies::new(&look.scene, raw, raw, &|_: &Channel| true).excess().0
     }
 
     /// Energy of the whole session that causes leave; no causes, no end of it.

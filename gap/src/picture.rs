@@ -1,5 +1,7 @@
 //! `report.html`: the findings as a person reads them, verdict first.
 
+mod walk;
+
 use host_sim::effects::find;
 use report::plot::{Figure, HeatMap, LinePlot, Series, Waterfall};
 use report::{Report, Table};
@@ -291,11 +293,18 @@ fn causes(page: Report, f: &Findings) -> Report {
             axes.join(", "),
             100.0 * cause.confidence
         ));
-        let mut table = Table::new(["parameter", "value (95 % interval)"]);
-        for (name, parameter) in &cause.parameters {
-            table = table.row([name.clone(), figures_of(parameter)]);
+        let is_told = |(name, _): &(&String, &Parameter)| !walk::is_of_walk(name);
+        let told: Vec<_> = cause.parameters.iter().filter(is_told).collect();
+        if !told.is_empty() {
+            let table = Table::new(["parameter", "value (95 % interval)"]);
+            let row = |table: Table, (name, parameter): (&String, &Parameter)| {
+                table.row([name.clone(), figures_of(parameter)])
+            };
+            page = page.table(told.into_iter().fold(table, row));
         }
-        page = page.table(table);
+        if let Some(plot) = walk::walk(cause, f.scene.clock_s().1) {
+            page = page.figure(&plot, "Over the session, pauses between recordings included. The coefficients are in diagnosis.json and rig.toml.");
+        }
         if let Some(effect) = find(&cause.effect) {
             let info = effect.info();
             page = page

@@ -190,6 +190,11 @@ fn hum_follows_the_clock_of_the_session() {
         assert!((signal(&early) - expected).abs() < 1e-9 * amplitude, "{name}");
         assert!((signal(&late) + expected).abs() < 1e-9 * amplitude, "{name}");
     }
+    // A grid that is a quarter of a turn ahead after a third of 900 s, where its first part has made a third of a quarter turn: sin(30 degrees).
+    let values = [("cos_m", 2e-8), ("ahead_1_turns", 0.5), ("wander_s", 900.0)];
+    let ahead = run_from(&single("sensor-hum", &values), 1e3, 299.5, 1.0, |_, _| 0.0);
+    assert!(ahead.position_m[0][500].abs() < 1e-11, "{}", ahead.position_m[0][500]);
+    assert!((ahead.position_m[0][515].abs() - 2e-8).abs() < 1e-11, "{}", ahead.position_m[0][515]);
     // Hum of the amplifier moves the stack, with hysteresis; hum of the sensor does not.
     let rig = single("amplifier-hum", &[("sin_v", 1.0)]);
     assert!(run(&rig, 1e4, 0.1, |_| 40.0).position_m[0][550..].iter().any(|x| *x > 3e-6));

@@ -322,5 +322,6 @@ fn hum(size: f64, form: &mut StdRng, rng: &mut StdRng) -> Hum {
             rng.random_range(0.0..TAU),
             rng.random_range(0.0..TAU),
         ],
+        sway: None,
     }
 }

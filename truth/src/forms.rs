@@ -58,12 +58,18 @@ fn between(rng: &mut impl Rng, low: f64, high: f64) -> f64 {
 
 /// A rectifier, a railway's supply, a fan or a switched supply's beat, without harmonics.
 fn hum(size: f64, form: &mut StdRng, rng: &mut StdRng) -> Hum {
-    let frequency_hz = match form.random_range(0..4) {
+    let kind = form.random_range(0..4);
+    let frequency_hz = match kind {
         0 => 100.0 + form.random_range(-0.08..0.08),
         1 => 16.7,
         2 => between(form, 20.0, 300.0),
         _ => between(form, 300.0, 3000.0),
     };
     let phase = rng.random_range(0.0..TAU);
-    Hum { frequency_hz, amplitudes: [size, 0.0, 0.0], phases: [phase, 0.0, 0.0] }
+    // A grid's frequency sways by some hundredths of a hertz in minutes (continental Europe: 50 Hz, within 0.02 Hz as a rule, twice of that behind
+    // a rectifier).
+    let sway = (kind < 2).then(|| {
+        (between(form, 0.01, 0.05), between(form, 25.0, 300.0), form.random_range(0.0..TAU))
+    });
+    Hum { frequency_hz, amplitudes: [size, 0.0, 0.0], phases: [phase, 0.0, 0.0], sway }
 }

@@ -83,6 +83,8 @@ pub struct Hum {
     pub amplitudes: [f64; 3],
     /// Phases (rad).
     pub phases: [f64; 3],
+    /// A grid whose frequency comes and goes: by how much (Hz), in what time (s), and its phase (rad).
+    pub sway: Option<(f64, f64, f64)>,
 }
 
 impl Hum {
@@ -91,8 +93,12 @@ impl Hum {
         if self.amplitudes == [0.0; 3] {
             return 0.0;
         }
+        let ahead = self.sway.map_or(0.0, |(by_hz, period_s, phase)| {
+            by_hz * period_s * (phase.cos() - (TAU * time_s / period_s + phase).cos())
+        });
         let part = |n: usize| {
-            let angle = TAU * self.frequency_hz * (n + 1) as f64 * time_s + self.phases[n];
+            let order = (n + 1) as f64;
+            let angle = order * (TAU * self.frequency_hz * time_s + ahead) + self.phases[n];
             self.amplitudes[n] * angle.sin()
         };
         part(0) + part(1) + part(2)

@@ -45,6 +45,8 @@ pub struct Ranges {
     pub longest_s: f64,
     /// From the start of the first recording to the end of the last, s.
     pub session_s: f64,
+    /// End of the last recording on the session's clock, s: walks begin where that does.
+    pub ends_s: f64,
     /// Whether loops of any kind may be fitted, or plain ones only.
     pub any_loop: bool,
 }
@@ -68,12 +70,9 @@ pub fn ranges(scene: &Scene, rig: &Rig, raw: &Stack) -> Result<Ranges, Error> {
     let mut current: f64 = 0.0;
     let mut rate_hz: f64 = 0.0;
     let mut longest: f64 = 0.0;
-    let mut clock = (f64::INFINITY, f64::NEG_INFINITY);
     for track in scene.tracks.iter() {
         rate_hz = rate_hz.max(track.rate_hz);
-        let length_s = track.len() as f64 / track.rate_hz;
-        longest = longest.max(length_s);
-        clock = (clock.0.min(track.start_s), clock.1.max(track.start_s + length_s));
+        longest = longest.max(track.len() as f64 / track.rate_hz);
         for (axis, column) in track.drive_v.iter().enumerate() {
             let Some(position) = &track.position_um[axis] else { continue };
             for &v in &column[track.settle..] {
@@ -104,6 +103,7 @@ pub fn ranges(scene: &Scene, rig: &Rig, raw: &Stack) -> Result<Ranges, Error> {
             }
         }
     }
+    let (starts_s, ends_s) = scene.clock_s();
     let [positions, monitors] = [Kind::Position, Kind::Monitor].map(|kind| lines(scene, raw, kind));
     let strongest = |lines: &[f64], kind| -> Vec<f64> {
         lines.par_iter().take(3).map(|&hz| coherent(scene, raw, kind, hz)).collect()
@@ -123,7 +123,8 @@ pub fn ranges(scene: &Scene, rig: &Rig, raw: &Stack) -> Result<Ranges, Error> {
         mass_kg: rig.axes[0].piezo.mass_kg + rig.axes[0].mechanism.mass_kg,
         rate_hz,
         longest_s: longest,
-        session_s: clock.1 - clock.0,
+        session_s: ends_s - starts_s,
+        ends_s,
         any_loop: false,
     })
 }

@@ -257,12 +257,35 @@ pub(crate) const WANDERS: [&str; 16] = [
     "wander_15_m",
     "wander_16_m",
 ];
-/// ... and the time over which it is described.
+/// How far the grid runs ahead of the frequency of a hum, slowest part first.
+pub(crate) const AHEAD: [&str; 12] = [
+    "ahead_1_turns",
+    "ahead_2_turns",
+    "ahead_3_turns",
+    "ahead_4_turns",
+    "ahead_5_turns",
+    "ahead_6_turns",
+    "ahead_7_turns",
+    "ahead_8_turns",
+    "ahead_9_turns",
+    "ahead_10_turns",
+    "ahead_11_turns",
+    "ahead_12_turns",
+];
+/// ... and the time over which such walks are described.
 pub(crate) const WANDER_S: &str = "wander_s";
 
 /// Where a random walk is expected to come to over a session, standard deviation, m. Between what was recorded it is taken to go straight, whatever
 /// this is.
 const WANDERS_TO_M: f64 = 0.3e-6;
+/// The same of the phase of a grid, turns.
+const RUNS_AHEAD_TURNS: f64 = 2.0;
+
+/// Standard deviation that is expected of a term of a random walk's series, of one that is expected to come to `end`: it goes with 1 over the order,
+/// which begins with 0 here.
+fn walks(order: usize, end: f64) -> f64 {
+    end * std::f64::consts::SQRT_2 / ((order as f64 + 0.5) * std::f64::consts::PI)
+}
 
 /// Parameters that stay at their lower bound in a fit that starts there: a variety of the effect, of which there are starts of its own.
 const STAYS: [(&str, &str); 2] =
@@ -290,8 +313,12 @@ pub(crate) fn keep_laws(knobs: &mut [Knob], values: &[f64]) {
     for (knob, &value) in knobs.iter_mut().zip(values) {
         if let Target::Effect { effect, index, .. } = &knob.target {
             let info = effect.info();
-            if STAYS.contains(&(info.name, info.parameters[*index].name)) && value <= knob.min {
+            let name = info.parameters[*index].name;
+            if STAYS.contains(&(info.name, name)) && value <= knob.min {
                 knob.max = knob.min;
+            }
+            if AHEAD.contains(&name) && value == 0.0 {
+                (knob.min, knob.max) = (0.0, 0.0);
             }
         }
         let Some((name, place, law, _)) = law_of(knob) else { continue };
@@ -330,14 +357,14 @@ pub fn knobs_at(effect: EffectRef, place: Place, ranges: &Ranges) -> Vec<Knob> {
                 knob.fixed_step = Some(MODE_STEP);
             }
             if p.name == WANDER_S {
-                let session_s = ranges.session_s.clamp(p.min, p.max);
-                (knob.min, knob.max) = (session_s, session_s);
+                let over_s = ranges.ends_s.clamp(p.min, p.max);
+                (knob.min, knob.max) = (over_s, over_s);
             }
-            // The terms of a random walk's series: their standard deviations go with 1 over the order.
-            if let Some(order) = WANDERS.iter().position(|name| *name == p.name) {
-                let quarters = (order as f64 + 0.5) * std::f64::consts::PI;
-                let sd = WANDERS_TO_M * std::f64::consts::SQRT_2 / quarters / knob.scale;
-                knob.prior = Some(Prior { centre: 0.0, sd });
+            // The terms of a random walk.
+            for (names, end) in [(&WANDERS[..], WANDERS_TO_M), (&AHEAD, RUNS_AHEAD_TURNS)] {
+                if let Some(order) = names.iter().position(|name| *name == p.name) {
+                    knob.prior = Some(Prior { centre: 0.0, sd: walks(order, end) / knob.scale });
+                }
             }
             // A bend that ends far beyond the travel is a gain.
             if (info.name, p.name) == ("sensor-nonlinearity", "zero_m") {

@@ -14,7 +14,7 @@ use crate::fitting::knobs::{EffectRef, axes_seen};
 use crate::fitting::model::{Model, Term, start_terms};
 use crate::search::found::{Found, keep};
 use crate::search::select::Search;
-use crate::search::wander::wanders;
+use crate::search::wander::drifts_freely;
 use crate::search::worth::WORTH_ABSOLUTE;
 use crate::session::scene::{Channel, Scene, Stack, Wanted, dot};
 
@@ -57,7 +57,7 @@ pub(crate) fn unmask(
     }
     let Some((model, gone)) = best else { return Ok(None) };
     let goes = |(term, values): &(Term, Vec<f64>)| {
-        gone.contains(&term.name()) && wanders(term, values)
+        gone.contains(&term.name()) && drifts_freely(term, values)
     };
     let is_loose = start_terms(&found.model).iter().any(goes);
     keep(rig, found, |_, alone| !gone.contains(&alone.name()))?;
@@ -121,7 +121,7 @@ fn instead(
         let axes = reach(rig, model);
         let [ours, theirs] = [&other, model].map(|model| left_on(&model.fit.stack, axes));
         let goes = |(t, (term, values)): (usize, &(Term, Vec<f64>))| {
-            !kept.contains(&t) && wanders(term, values)
+            !kept.contains(&t) && drifts_freely(term, values)
         };
         let is_better = if start_terms(model).iter().enumerate().any(goes) {
             ours < AS_DRIFT * theirs.max(0.0) + worth

@@ -18,7 +18,7 @@ use crate::judge::ambiguity::{self, Standings};
 use crate::judge::monitors::{self, Missing};
 use crate::search::last_axis::is_as_elsewhere;
 use crate::search::select::{Breadth, Search};
-use crate::search::wander::wanders;
+use crate::search::wander::{drifts_freely, wanders};
 use crate::session::energy::{Energies, HAS_GAP};
 use crate::session::scene::{Channel, Scene, Stack, Wanted};
 
@@ -42,10 +42,17 @@ pub(crate) struct Found {
 }
 
 impl Found {
-    /// Whether a drift without a period is part of the answer.
-    pub(crate) fn wanders(&self) -> bool {
-        start_terms(&self.model).iter().any(|(term, values)| wanders(term, values))
+    /// Effects of the answer that go without a period.
+    pub(crate) fn wandering(&self) -> Vec<&'static str> {
+        wandering(&self.model)
     }
+}
+
+/// Effects of a model that go without a period.
+fn wandering(model: &Model) -> Vec<&'static str> {
+    let terms = start_terms(model);
+    let names = terms.iter().filter(|(term, values)| wanders(term, values));
+    names.map(|(term, _)| term.name()).collect()
 }
 
 /// Search the fitted recordings, beside what `before` found in others, and check the model on those that were not fitted.
@@ -189,7 +196,9 @@ fn by_axis(
         .filter(|&a| !alone(a) && !search.knows_nothing_of(a))
         .collect();
     let is_alone = gaps.iter().filter(|g| g.counts).count() < 2;
-    if open.is_empty() || is_alone || search.is_spent() {
+    // What goes without a period leaves recordings that are held out open, whatever the axis.
+    let goes_on = model.as_ref().is_some_and(|model| !wandering(model).is_empty());
+    if open.is_empty() || is_alone || goes_on || search.is_spent() {
         return Ok(model);
     }
     // What the whole search found keeps the axes that it closes.
@@ -315,7 +324,7 @@ pub(crate) fn abstain(
     let has_laws = |axis: usize| {
         let terms = start_terms(&found.model);
         let has_laws = |(term, values): &(Term, Vec<f64>)| {
-            accept::has_many_laws(term.name()) || wanders(term, values)
+            accept::has_many_laws(term.name()) || drifts_freely(term, values)
         };
         terms.iter().any(|known| has_laws(known) && reaches(rig, &known.0, axis))
     };

@@ -100,7 +100,8 @@ impl Search<'_> {
         let is_open = |m: &Model| m.fit.cost - self.noise > HALF * self.gap;
         let nothing_is_known = plain.as_ref().is_none_or(is_open);
         let share = if nothing_is_known { PLAIN_LOOP_AT_LEAST } else { PLAIN_LOOP };
-        let own = alone.map(|alone| (self.axes_of_loop(&alone, &self.base, &self.base, share), alone));
+        let own =
+            alone.map(|alone| (self.axes_of_loop(&alone, &self.base, &self.base, share), alone));
         // What is loud and none of a loop hides one that stands beside it.
         let beside = plain.as_ref().and_then(|plain| {
             let beside = self.loop_beside_others(plain, |_| &self.base);

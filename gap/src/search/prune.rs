@@ -26,7 +26,7 @@ const WORTH_OF_LEFT: f64 = 0.1;
 const WORTH_OF_TRIM: f64 = 2.0 / 3.0;
 
 /// How the names of lines end.
-const HUM: &str = "-hum";
+pub(crate) const HUM: &str = "-hum";
 
 /// What a place of an effect is worth.
 #[derive(Clone, Copy)]
@@ -122,11 +122,12 @@ impl Search<'_> {
                 let without = self.fit_model(terms, start.concat(), effort)?;
                 let [with, left] =
                     [&best, &without].map(|model| self.left_on(&model.fit.stack, axes));
-                // What drifts is many nanometres and little cost: a resonance that is met to a percent leaves more of that.
-                let [with_energy, left_energy] =
-                    [&best, &without].map(|model| self.scene.excess_on(&model.fit.stack, axes));
+                // What drifts is many nanometres and little cost: a resonance that is met to a percent leaves more of that. Most of an axis is no
+                // trim.
+                let energy = |stack| self.scene.excess_on(stack, axes);
+                let saved = energy(&without.fit.stack) - energy(&best.fit.stack);
                 if left - with < WORTH_OF_PLACE.max(WORTH_OF_TRIM * left)
-                    && left_energy - with_energy < WORTH_OF_TRIM * left_energy
+                    && saved < MOST_OF_AXIS * energy(&self.base)
                 {
                     best = without;
                 }

@@ -1,56 +1,214 @@
-//! Drift without a period.
+//! Drift without a period, and hum of a grid whose frequency sways.
 //!
-//! A gauge may drift to an end, to and fro, or as chance has it. The last takes as many numbers as there are turns in it, with which a drift makes up for much
-//! that is none. So it is tried only where a plain drift is most of the answer by itself and leaves something, and has to leave far less.
+//! A gauge may drift to an end, to and fro, or as chance has it; a grid's frequency is 50 Hz to some hundredths, which is a turn in a minute. Both are
+//! walks of as many numbers as they have turns, with which an effect makes up for much that it is not. So they are tried where the plain effect is by
+//! itself, and have to leave far less.
+
+use std::f64::consts::{PI, TAU};
 
 use host_sim::effects::Parameter;
+use host_sim::effects::walk::Walk;
+use nalgebra::{DMatrix, DVector};
 
 use crate::Error;
 use crate::fitting::fit::Effort;
-use crate::fitting::knobs::{WANDER_S, WANDERS};
+use crate::fitting::knobs::{AHEAD, WANDER_S, WANDERS, axes_seen};
 use crate::fitting::model::{Model, Term};
+use crate::search::prune::HUM;
 use crate::search::select::{CLOSED, Search};
+use crate::session::floor::Kind;
+use crate::session::scene::Stack;
+use crate::session::spectra::{Envelope, envelope};
 
-/// The effect that this is about.
+/// The effect that drifts.
 const DRIFT: &str = "sensor-drift";
 /// Share of the gap that a plain drift leaves at most.
 const MOST: f64 = 0.9;
-/// Share of what the plain drift leaves that one without a period may leave at most.
+/// Share of what the plain effect leaves that one which wanders may leave at most.
 const MUCH_LESS: f64 = 0.3;
-/// Iterations of the fit: the drift is linear in its sizes.
-const ITERATIONS: usize = 3;
+/// Parts of a session, as many as a drift has terms, in which a jump is over, and the share of the squares of all changes that it has.
+const JUMP: usize = 3;
+const MOST_IN_A_JUMP: f64 = 0.8;
+/// Iterations of the fit of a drift, which is linear in its sizes, and of a hum.
+const ITERATIONS: [usize; 2] = [3, 8];
+/// Phase that a recording is taken to tell to, turns.
+const TOLD_TURNS: f64 = 0.01;
+/// Length of a block in which a phase is told, in periods and s: a window over it keeps other frequencies out.
+const PERIODS: f64 = 8.0;
+const SHORTEST_S: f64 = 0.2;
+/// Size of a block that is listened to, as a multiple of most blocks': short ones, and those where the stage moves, tell another phase.
+const LIKE: std::ops::Range<f64> = 0.5..2.0;
+/// Time over which the speed of a phase is told, and the least that tells one, s.
+const GOES_ON_S: f64 = 2.0;
+const TELLS_SPEED_S: f64 = 0.8;
 
-/// Whether the effect of this name, with these values at its places, goes without a period anywhere.
+/// Whether a drift with these values at its places goes without a period anywhere.
+pub(crate) fn drifts_freely(term: &Term, values: &[f64]) -> bool {
+    term.name() == DRIFT && has_any(term, values, &WANDERS)
+}
+
+/// Whether an effect with these values at its places goes without a period anywhere: a drift, or the phase of a hum.
 pub(crate) fn wanders(term: &Term, values: &[f64]) -> bool {
+    drifts_freely(term, values) || has_any(term, values, &AHEAD)
+}
+
+/// Whether some of these parameters are not zero at some place.
+fn has_any(term: &Term, values: &[f64], names: &[&str]) -> bool {
     let parameters = term.effect.info().parameters;
-    let is_part = |(parameter, value): (&Parameter, &f64)| {
-        WANDERS.contains(&parameter.name) && *value != parameter.zero
-    };
-    term.name() == DRIFT
-        && values.chunks(parameters.len()).any(|here| parameters.iter().zip(here).any(is_part))
+    let is_one = |(p, value): (&Parameter, &f64)| names.contains(&p.name) && *value != p.zero;
+    values.chunks(parameters.len()).any(|here| parameters.iter().zip(here).any(is_one))
 }
 
 impl Search<'_> {
-    /// `model` of a drift alone, or the same without a period, if that leaves much less.
+    /// `model` of a drift or a hum alone, or the same as it wanders, if that leaves much less.
     pub(crate) fn wandering(&self, model: Model, effort: Effort) -> Result<Model, Error> {
         let [term] = model.terms.as_slice() else { return Ok(model) };
         // Other axes may lack something else.
-        let mask = term.axes().iter().fold(0, |mask, axis| mask | 1 << axis);
+        let places = term.places.iter();
+        let mask = places.fold(0, |mask, &p| mask | axes_seen(self.nominal, term.effect, p));
         let gap = self.left_on(&self.base, mask);
         let left = self.left_on(&model.fit.stack, mask);
-        if term.name() != DRIFT || left < CLOSED * gap || left > MOST * gap {
+        if left < CLOSED * gap {
             return Ok(model);
         }
+        let (start, iterations) = if term.name() == DRIFT && left < MOST * gap {
+            (self.begun_to_drift(term), ITERATIONS[0])
+        } else if term.name().ends_with(HUM) {
+            (self.begun_to_sway(&model)?, ITERATIONS[1])
+        } else {
+            return Ok(model);
+        };
+        let line = model.fit.cost - (1.0 - MUCH_LESS) * left;
+        let effort = Effort { iterations, hopeless: f64::INFINITY, ..effort };
+        let other = self.fit_model(model.terms.clone(), start, effort)?;
+        let is_there = other.fit.cost < line && self.goes_on(&other);
+        Ok(if is_there { other } else { model })
+    }
+
+    /// Whether a drift goes on, on some axis: one that jumps once and stays is an offset that something before it hid.
+    fn goes_on(&self, model: &Model) -> bool {
+        let term = &model.terms[0];
+        let parameters = term.effect.info().parameters;
+        let goes_on = |here: &[f64]| {
+            let sizes = parameters.iter().zip(here).filter(|(p, _)| WANDERS.contains(&p.name));
+            let sizes: Vec<f64> = sizes.map(|(_, value)| *value).collect();
+            let walk = Walk::new(&sizes, self.ranges.ends_s);
+            let at = |k: usize| walk.at(self.ranges.ends_s * k as f64 / WANDERS.len() as f64);
+            let steps: Vec<f64> = (0..WANDERS.len()).map(|k| (at(k + 1) - at(k)).powi(2)).collect();
+            let jump = steps.windows(JUMP).map(|w| w.iter().sum::<f64>()).fold(0.0, f64::max);
+            jump < MOST_IN_A_JUMP * steps.iter().sum::<f64>()
+        };
+        term.name() != DRIFT || model.fit.values.chunks(parameters.len()).any(goes_on)
+    }
+
+    /// Values of a drift that may go anywhere: any sizes but none, since a law that does nothing is frozen.
+    fn begun_to_drift(&self, term: &Term) -> Vec<f64> {
         let value = |parameter: &Parameter| match parameter.name {
-            WANDER_S => self.ranges.session_s,
-            // Any size but none: a law that does nothing is frozen.
+            WANDER_S => self.ranges.ends_s,
             name if WANDERS.contains(&name) => 1.0e-3 * parameter.typical,
             _ => parameter.zero,
         };
-        let rests: Vec<f64> = term.effect.info().parameters.iter().map(value).collect();
-        let line = model.fit.cost - (1.0 - MUCH_LESS) * left;
-        let effort = Effort { iterations: ITERATIONS, hopeless: line, ..effort };
-        let other = self.fit_model(model.terms.clone(), rests.repeat(term.places.len()), effort)?;
-        Ok(if other.fit.cost < line { other } else { model })
+        let here: Vec<f64> = term.effect.info().parameters.iter().map(value).collect();
+        here.repeat(term.places.len())
     }
+
+    /// Values of a hum whose phase goes as that of what was recorded does, on the axis with most of it: axes hang on one grid.
+    fn begun_to_sway(&self, model: &Model) -> Result<Vec<f64>, Error> {
+        let term = &model.terms[0];
+        let parameters = term.effect.info().parameters;
+        let index = |name: &str| parameters.iter().position(|p| p.name == name);
+        let mut start = model.fit.values.clone();
+        let Some((at_hz, at_s)) = index("frequency_hz").zip(index(WANDER_S)) else {
+            return Ok(start);
+        };
+        let raw = self.scene.raw(self.nominal, self.include)?;
+        let loudest = |a: &usize, b: &usize| {
+            let left = |p: usize| {
+                self.left_on(&self.base, axes_seen(self.nominal, term.effect, term.places[p]))
+            };
+            left(*a).total_cmp(&left(*b))
+        };
+        let Some(first) = (0..term.places.len()).max_by(loudest) else { return Ok(start) };
+        let hz = start[first * parameters.len() + at_hz];
+        let ahead = ahead_turns(&self.phase(&raw, term.places[first].on(), hz), self.ranges.ends_s);
+        for here in start.chunks_mut(parameters.len()) {
+            here[at_hz] = hz;
+            here[at_s] = self.ranges.ends_s;
+            for (name, turns) in AHEAD.iter().zip(&ahead.turns) {
+                if let Some(k) = index(name) {
+                    here[k] = *turns;
+                }
+            }
+            // In phase with the clock, and a quarter period behind.
+            let size = here[0].hypot(here[1]).max(parameters[0].typical);
+            (here[0], here[1]) = (size * ahead.phase.cos(), -size * ahead.phase.sin());
+        }
+        Ok(start)
+    }
+
+    /// Envelope of an axis' position about a frequency, in order of time.
+    fn phase(&self, raw: &Stack, axis: usize, hz: f64) -> Vec<Envelope> {
+        let channels = self.scene.channels.iter().zip(raw);
+        let here = channels.filter(|(c, _)| c.axis == axis && c.kind == Kind::Position);
+        let of_channel = |(c, row): (_, &Option<Vec<f32>>)| {
+            let block = ((PERIODS / hz).max(SHORTEST_S), |along: f64| (PI * along).sin().powi(2));
+            row.as_ref().map_or_else(Vec::new, |row| envelope(self.scene, c, row, hz, block))
+        };
+        let mut blocks: Vec<Envelope> = here.flat_map(of_channel).collect();
+        blocks.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+        blocks
+    }
+}
+
+/// How a phase goes.
+struct Ahead {
+    /// Terms of its walk, turns.
+    turns: [f64; AHEAD.len()],
+    /// Where it begins, rad.
+    phase: f64,
+}
+
+/// The walk that the phase of blocks goes, over a session that ends at `ends_s`: unwrapped from block to block, as it would go on, and fitted by a walk that
+/// is no wilder than it has to be.
+fn ahead_turns(blocks: &[Envelope], ends_s: f64) -> Ahead {
+    let size = |block: &Envelope| block.re.hypot(block.im);
+    let mut sizes: Vec<f64> = blocks.iter().map(size).collect();
+    sizes.sort_by(f64::total_cmp);
+    let typical = sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
+    let is_typical = |block: &&Envelope| LIKE.contains(&(size(block) / typical));
+    let mut told: Vec<(f64, f64)> = Vec::new();
+    // Turns a second, as they were last told.
+    let mut speed = 0.0;
+    for block in blocks.iter().filter(is_typical) {
+        let phase = block.im.atan2(block.re) / TAU;
+        let expected =
+            told.last().map_or(phase, |&(last_s, last)| last + speed * (block.time_s - last_s));
+        let (time_s, turns) = (block.time_s, phase + (expected - phase).round());
+        told.push((time_s, turns));
+        let recent = told.iter().rev().take_while(|(s, _)| time_s - s < GOES_ON_S);
+        if let Some((from_s, from)) = recent.last().filter(|(s, _)| time_s - s > TELLS_SPEED_S) {
+            speed = (turns - from) / (time_s - from_s);
+        }
+    }
+    // The constant comes last.
+    let count = AHEAD.len() + 1;
+    let mut normal = DMatrix::<f64>::zeros(count, count);
+    let mut right = DVector::<f64>::zeros(count);
+    let weight = TOLD_TURNS.powi(-2);
+    for &(time_s, turns) in &told {
+        let term = |k: usize| match k {
+            k if k < AHEAD.len() => ((k as f64 + 0.5) * PI * (time_s / ends_s).min(1.0)).sin(),
+            _ => 1.0,
+        };
+        let row = DVector::from_fn(count, |k, _| term(k));
+        normal.ger(weight, &row, &row, 1.0);
+        right.axpy(weight * turns, &row, 1.0);
+    }
+    for k in 0..AHEAD.len() {
+        normal[(k, k)] += (k as f64 + 0.5).powi(2);
+    }
+    normal[(count - 1, count - 1)] += 1.0e-9;
+    let solved = normal.cholesky().map(|factor| factor.solve(&right));
+    let at = |k: usize| solved.as_ref().map_or(0.0, |solved| solved[k]);
+    Ahead { turns: std::array::from_fn(at), phase: TAU * at(count - 1) }
 }

@@ -60,6 +60,11 @@ impl Track {
         self.present.is_empty()
     }
 
+    /// End on the session's clock, seconds.
+    pub fn ends_s(&self) -> f64 {
+        self.start_s + self.len() as f64 / self.rate_hz
+    }
+
     /// Time of a sample from the start of the file, seconds.
     pub fn time_s(&self, sample: usize) -> f64 {
         sample as f64 / self.rate_hz

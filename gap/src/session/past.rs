@@ -29,7 +29,7 @@ pub(crate) fn remember(rig: &Rig, tracks: &mut [Track]) {
         let start_s = tracks[index].start_s;
         // Files whose clocks overlap tell nothing of their order.
         let before: Vec<usize> = (0..tracks.len())
-            .filter(|&t| t != index && end_s(&tracks[t]) <= start_s + SHORTEST_S)
+            .filter(|&t| t != index && tracks[t].ends_s() <= start_s + SHORTEST_S)
             .collect();
         let Some(first_s) = before.iter().map(|&t| tracks[t].start_s).reduce(f64::min) else {
             continue;
@@ -89,10 +89,6 @@ pub(crate) fn tell(
     scene.runs_on = false;
     scene.runs_on = running_on <= left(scene)?;
     Ok(())
-}
-
-fn end_s(track: &Track) -> f64 {
-    track.start_s + track.len() as f64 / track.rate_hz
 }
 
 /// Volt-seconds of the transducer from the start of a track to each of its samples.

@@ -139,6 +139,14 @@ impl Scene {
         rows.filter(|(row, _)| row.is_some()).map(|(_, c)| c.noise_cost()).sum()
     }
 
+    /// Start of the first recording and end of the last, on the session's clock, s.
+    pub fn clock_s(&self) -> (f64, f64) {
+        let ends = self.tracks.iter().map(|t| (t.start_s, t.ends_s()));
+        ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(first, last), (start, end)| {
+            (first.min(start), last.max(end))
+        })
+    }
+
     /// Energy of positions beyond noise in a whitened stack, the weights undone.
     pub fn excess(&self, stack: &Stack) -> f64 {
         self.excess_on(stack, u32::MAX)

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use realfft::RealFftPlanner;
 
 use crate::session::floor::Kind;
-use crate::session::scene::{Scene, Stack};
+use crate::session::scene::{Channel, Scene, Stack};
 
 /// Power spectrum of a row with a Hann window: frequency step in Hz and density of each bin.
 pub fn spectrum(row: &[f32], rate_hz: f64) -> (f64, Vec<f64>) {
@@ -108,6 +108,44 @@ pub(crate) fn lines(scene: &Scene, raw: &Stack, kind: Kind) -> Vec<f64> {
     found.into_iter().take(MOST_LINES).map(|(hz, _)| hz).collect()
 }
 
+/// What is in a block of a recording at a frequency, on the session's clock: r = re cos(w t) - im sin(w t), in sums of samples.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Envelope {
+    /// Middle of the block, s.
+    pub time_s: f64,
+    /// In phase with the clock.
+    pub re: f64,
+    /// A quarter period ahead of it.
+    pub im: f64,
+}
+
+/// Envelope of a channel's residual about a frequency, in blocks of `block_s`, in which samples have a `weight` from one end of it (0) to the other (1).
+pub(crate) fn envelope(
+    scene: &Scene,
+    channel: &Channel,
+    row: &[f32],
+    hz: f64,
+    (block_s, weight): (f64, impl Fn(f64) -> f64),
+) -> Vec<Envelope> {
+    let track = &scene.tracks[channel.track];
+    let length = ((block_s * track.rate_hz) as usize).max(1);
+    let of_block = |(b, part): (usize, &[f32])| {
+        let first = channel.range.start + b * length;
+        let mean = part.iter().map(|&x| f64::from(x)).sum::<f64>() / part.len() as f64;
+        let (mut re, mut im) = (0.0, 0.0);
+        for (k, &x) in part.iter().enumerate() {
+            let t = track.start_s + (first + k) as f64 / track.rate_hz;
+            let (sin, cos) = (std::f64::consts::TAU * hz * t).sin_cos();
+            let weighed = (f64::from(x) - mean) * weight((k as f64 + 0.5) / length as f64);
+            re += weighed * cos;
+            im -= weighed * sin;
+        }
+        let time_s = track.start_s + (first as f64 + 0.5 * part.len() as f64) / track.rate_hz;
+        Envelope { time_s, re, im }
+    };
+    row.chunks(length).enumerate().map(of_block).collect()
+}
+
 /// Frequency near `hz` whose phase runs on over the whole session: single recordings are too short to tell it.
 pub(crate) fn coherent(scene: &Scene, raw: &Stack, kind: Kind, hz: f64) -> f64 {
     const BLOCK_S: f64 = 0.1;
@@ -118,21 +156,9 @@ pub(crate) fn coherent(scene: &Scene, raw: &Stack, kind: Kind, hz: f64) -> f64 {
     let mut span = (f64::INFINITY, f64::NEG_INFINITY);
     for (c, channel) in scene.channels.iter().enumerate() {
         let Some(row) = raw[c].as_ref().filter(|_| channel.kind == kind) else { continue };
-        let track = &scene.tracks[channel.track];
-        let length = ((BLOCK_S * track.rate_hz) as usize).max(1);
-        for (b, part) in row.chunks(length).enumerate() {
-            let first = channel.range.start + b * length;
-            let mean = part.iter().map(|&x| f64::from(x)).sum::<f64>() / part.len() as f64;
-            let (mut re, mut im) = (0.0, 0.0);
-            for (k, &x) in part.iter().enumerate() {
-                let t = track.start_s + (first + k) as f64 / track.rate_hz;
-                let (sin, cos) = (tau * hz * t).sin_cos();
-                re += (f64::from(x) - mean) * cos;
-                im -= (f64::from(x) - mean) * sin;
-            }
-            let t = track.start_s + (first as f64 + 0.5 * part.len() as f64) / track.rate_hz;
-            span = (span.0.min(t), span.1.max(t));
-            blocks[channel.axis].push((t, re, im));
+        for block in envelope(scene, channel, row, hz, (BLOCK_S, |_| 1.0)) {
+            span = (span.0.min(block.time_s), span.1.max(block.time_s));
+            blocks[channel.axis].push((block.time_s, block.re, block.im));
         }
     }
     let step = 1.0 / (8.0 * (span.1 - span.0).max(1.0));

@@ -10,7 +10,7 @@ pub(super) const EFFECT: AmplifierHum = AmplifierHum;
 
 const NAMES: [&str; 6] =
     ["cos_v", "sin_v", "second_cos_v", "second_sin_v", "third_cos_v", "third_sin_v"];
-static PARAMETERS: [Parameter; 7] = hum::parameters(NAMES, "V", 20.0, 0.2);
+static PARAMETERS: [Parameter; hum::COUNT] = hum::parameters(NAMES, "V", 20.0, 0.2);
 
 static INFO: Info = Info {
     name: "amplifier-hum",

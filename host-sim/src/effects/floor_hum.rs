@@ -10,7 +10,7 @@ pub(super) const EFFECT: FloorHum = FloorHum;
 
 const NAMES: [&str; 6] =
     ["cos_n", "sin_n", "second_cos_n", "second_sin_n", "third_cos_n", "third_sin_n"];
-static PARAMETERS: [Parameter; 7] = hum::parameters(NAMES, "N", 1.0e4, 1.0);
+static PARAMETERS: [Parameter; hum::COUNT] = hum::parameters(NAMES, "N", 1.0e4, 1.0);
 
 static INFO: Info = Info {
     name: "floor-hum",

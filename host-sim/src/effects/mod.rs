@@ -11,6 +11,7 @@ use crate::stages::model::Model;
 
 mod bend;
 mod hum;
+pub mod walk;
 
 /// An effect of the catalogue.
 pub trait Effect: Sync {

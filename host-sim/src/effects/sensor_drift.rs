@@ -1,7 +1,8 @@
 //! sensor-drift: the zero of the gauge wanders with session time.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
+use super::walk::Walk;
 use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
 use crate::stages::model::{Model, SensorBlock};
 
@@ -55,37 +56,18 @@ struct Drift {
     swing_sin_m: f64,
     swing_cos_m: f64,
     rad_per_s: f64,
-    wander_m: [f64; WANDERS],
-    wander_s: f64,
+    wander_m: Walk,
 }
 
 /// Terms of a random walk's series.
 const WANDERS: usize = 16;
-
-impl Drift {
-    /// Drift of a random walk at a time, m: sum of a_k sin((k - 1/2) pi t/T) (Loeve, Probability Theory, 1955, section 34).
-    fn wandered_m(&self, time_s: f64) -> f64 {
-        // sin((k + 1) a) = 2 cos(a) sin(k a) - sin((k - 1) a): in steps of two quarter turns.
-        // Beyond the end it stays where it is, which is where a random walk is expected.
-        let quarter = 0.5 * PI * (time_s / self.wander_s).min(1.0);
-        let (sin, cos) = quarter.sin_cos();
-        let twice = 2.0 * (cos * cos - sin * sin);
-        let (mut before, mut now) = (-sin, sin);
-        let mut sum = 0.0;
-        for size in self.wander_m {
-            sum += size * now;
-            (before, now) = (now, twice * now - before);
-        }
-        sum
-    }
-}
 
 impl SensorBlock for Drift {
     fn read(&mut self, value_m: f64, _bare_m: &[f64], time_s: f64) -> f64 {
         let settles = -self.settling_m * (-time_s / self.settling_s).exp_m1();
         let (sin, cos) = (self.rad_per_s * time_s).sin_cos();
         let swings = self.swing_sin_m * sin + self.swing_cos_m * (cos - 1.0);
-        value_m + self.rate * time_s + settles + swings + self.wandered_m(time_s)
+        value_m + self.rate * time_s + settles + swings + self.wander_m.at(time_s)
     }
 }
 
@@ -102,8 +84,7 @@ impl Effect for SensorDrift {
             swing_sin_m: values[3],
             swing_cos_m: values[4],
             rad_per_s: TAU / values[5],
-            wander_m: std::array::from_fn(|k| values[6 + k]),
-            wander_s: values[6 + WANDERS],
+            wander_m: Walk::new(&values[6..6 + WANDERS], values[6 + WANDERS]),
         };
         model.axes[place.on()].sensor.blocks.push(Box::new(drift));
     }

@@ -10,7 +10,7 @@ pub(super) const EFFECT: SensorHum = SensorHum;
 
 const NAMES: [&str; 6] =
     ["cos_m", "sin_m", "second_cos_m", "second_sin_m", "third_cos_m", "third_sin_m"];
-static PARAMETERS: [Parameter; 7] = hum::parameters(NAMES, "m", 1.0e-5, 1.0e-8);
+static PARAMETERS: [Parameter; hum::COUNT] = hum::parameters(NAMES, "m", 1.0e-5, 1.0e-8);
 
 static INFO: Info = Info {
     name: "sensor-hum",
