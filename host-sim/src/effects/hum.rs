@@ -96,5 +96,5 @@ pub(super) const fn parameters(
 
 /// A part of the walk of its phase.
 const fn ahead(name: &'static str, about: &'static str) -> Parameter {
-    Parameter::shape(name, "turns", (-100.0, 100.0), 0.0, about)
+    Parameter::size(name, "turns", 0.0, (-100.0, 100.0), 0.2, about)
 }
