@@ -87,3 +87,18 @@ fn a_drift_is_no_trim_of_a_mass_that_rings() {
     let named = [("sensor-drift", &[1, 2, 3][..]), ("second-mass", &[1, 3])];
     assert_explained(&diagnosis, &named);
 }
+
+#[test]
+fn creep_of_all_axes_is_told_beside_a_gain_on_one() {
+    // Relaxation bends to both of them on axis 1, where creep alone does nothing.
+    let diagnosis = drawn(31313, 9, &["creep", "sensor-gain"]);
+    assert_explained(&diagnosis, &[("creep", &[1, 2, 3][..]), ("sensor-gain", &[1])]);
+}
+
+#[test]
+fn a_lag_of_all_gauges_is_told_beside_a_stiff_axis() {
+    // Relaxation of axis 1 leaves as little to a twelfth of what is left.
+    let diagnosis = drawn(28282, 50, &["sensor-bandwidth", "stiffness"]);
+    let named = [("stiffness", &[1][..]), ("sensor-bandwidth", &[1, 2, 3])];
+    assert_explained(&diagnosis, &named);
+}

@@ -84,3 +84,12 @@ fn what_fades_from_a_reading_has_not_crept() {
     let named: Vec<&str> = diagnosis.causes.iter().map(|c| c.effect.as_str()).collect();
     assert_eq!((diagnosis.verdict, &named[..]), (Verdict::Unexplained, &[][..]));
 }
+
+#[test]
+fn a_pump_is_no_hum_of_the_gauge_that_reads_an_axis() {
+    // What a pump does to axes where its own effect was begun at a wrong frequency does not speak for the hum of another axis.
+    for (seed, index) in [(25252, 47), (28282, 45)] {
+        let diagnosis = common::drawn(seed, index, &["unknown"]);
+        assert_nothing_is_named(&diagnosis, "floor-hum", "environment");
+    }
+}

@@ -9,7 +9,7 @@ struct Plain {
     slopes: Vec<f64>,
     limits: Vec<f64>,
     volts: Vec<f64>,
-    share: f64,
+    give: (f64, f64),
     charge_c: f64,
 }
 
@@ -18,8 +18,9 @@ impl Plain {
         let elements = self.volts.iter().zip(&self.slopes).zip(&self.limits);
         elements
             .map(|((v, k), top)| {
-                // Of dv = k dq (1 - share sgn(dq) v / top), with the mean of v before and after on the right.
-                let lost = 0.5 * self.share * k * drawn.abs() / (top * scale);
+                // Of dv = k dq (1 - share sgn(dq) v / top), with the mean of v before and after on the right, and less of a share on the way back.
+                let back = if drawn * v < 0.0 { self.give.1 } else { 1.0 };
+                let lost = 0.5 * self.give.0 * back * k * drawn.abs() / (top * scale);
                 let free = (v + k * drawn - lost * v) / (1.0 + lost);
                 free.clamp(-top * scale, top * scale)
             })
@@ -46,6 +47,9 @@ impl Plain {
     }
 }
 
+/// Elements that do not give way before they slip.
+const STIFF: (f64, f64) = (0.0, 1.0);
+
 /// Elements of unlike slopes and slip charges, in no order, and a path of amplifier voltages.
 fn stacks() -> impl Strategy<Value = (Vec<(f64, f64)>, Vec<f64>)> {
     let element = (1.0e3..1.0e5_f64, 1.0e-6..2.0e-4_f64);
@@ -70,17 +74,17 @@ fn branch(input_v: f64) -> Branch {
 fn compare(
     (parameters, path): (Vec<(f64, f64)>, Vec<f64>),
     scaled: bool,
-    share: f64,
+    give: (f64, f64),
     start: impl Fn(f64, f64, usize) -> f64,
     each: impl Fn(usize, &mut Branch),
 ) -> Result<(), TestCaseError> {
     let (slopes, limits): (Vec<f64>, Vec<f64>) =
         parameters.iter().map(|(slope, slip)| (*slope, slope * slip)).unzip();
-    let mut fast = Elements::new(&slopes, &limits, scaled, share);
+    let mut fast = Elements::new(&slopes, &limits, scaled, give);
     let volts: Vec<f64> = (0..slopes.len())
         .map(|i| start(slopes[i], limits[i], i).clamp(-limits[i], limits[i]))
         .collect();
-    let mut slow = Plain { slopes, limits, volts, share, charge_c: 2.0e-6 };
+    let mut slow = Plain { slopes, limits, volts, give, charge_c: 2.0e-6 };
     fast.set_voltages(start);
     fast.set_charge(slow.charge_c);
     let mut now = 0.0;
@@ -109,9 +113,9 @@ fn compare(
 proptest! {
     #[test]
     fn the_ladder_finds_what_all_elements_give(stack in stacks(), swept in -3.0e-4..3.0e-4_f64, skew in -300.0..300.0_f64) {
-        compare(stack.clone(), false, 0.0, |_, _, _| 0.0, |_, _| {})?;
-        compare(stack.clone(), false, 0.0, |slope, _, _| slope * swept, |_, branch| branch.drag_v_per_c = 2.0e5)?;
-        compare(stack, false, 0.0, |slope, _, _| slope * swept, |_, branch| branch.skew_per_c = skew)?;
+        compare(stack.clone(), false, STIFF, |_, _, _| 0.0, |_, _| {})?;
+        compare(stack.clone(), false, STIFF, |slope, _, _| slope * swept, |_, branch| branch.drag_v_per_c = 2.0e5)?;
+        compare(stack, false, STIFF, |slope, _, _| slope * swept, |_, branch| branch.skew_per_c = skew)?;
     }
 
     #[test]
@@ -120,11 +124,11 @@ proptest! {
         shares in proptest::collection::vec(-1.0..1.0_f64, 20),
         scales in proptest::collection::vec(prop_oneof![Just(1.0), 0.9..1.1_f64, 0.2..2.0_f64], 300),
     ) {
-        compare(stack.clone(), true, 0.0, |_, limit, i| limit * shares[i], |_, _| {})?;
-        compare(stack.clone(), true, 0.0, |_, _, _| 0.0, |tick, branch| branch.limit_scale = 1.0 + 0.1 * (tick as f64 * 0.1).sin())?;
-        compare(stack.clone(), true, 0.0, |_, limit, i| limit * shares[i], |tick, branch| branch.limit_scale = scales[tick])?;
+        compare(stack.clone(), true, STIFF, |_, limit, i| limit * shares[i], |_, _| {})?;
+        compare(stack.clone(), true, STIFF, |_, _, _| 0.0, |tick, branch| branch.limit_scale = 1.0 + 0.1 * (tick as f64 * 0.1).sin())?;
+        compare(stack.clone(), true, STIFF, |_, limit, i| limit * shares[i], |tick, branch| branch.limit_scale = scales[tick])?;
         // A memory that no history leaves goes to the zones by itself.
-        compare(stack, false, 0.0, |_, limit, i| limit * shares[i], |_, _| {})?;
+        compare(stack, false, STIFF, |_, limit, i| limit * shares[i], |_, _| {})?;
     }
     #[test]
     fn yielding_elements_find_what_all_elements_give(
@@ -133,12 +137,14 @@ proptest! {
         shares in proptest::collection::vec(-1.0..1.0_f64, 20),
         scales in proptest::collection::vec(prop_oneof![Just(1.0), 0.9..1.1_f64, 0.2..2.0_f64], 300),
         skew in -300.0..300.0_f64,
+        recoil in prop_oneof![Just(0.0), Just(1.0), 0.0..1.0_f64],
     ) {
-        compare(stack.clone(), false, share, |_, _, _| 0.0, |_, _| {})?;
-        compare(stack.clone(), false, share, |_, limit, i| limit * shares[i], |_, branch| {
+        let give = (share, recoil);
+        compare(stack.clone(), false, give, |_, _, _| 0.0, |_, _| {})?;
+        compare(stack.clone(), false, give, |_, limit, i| limit * shares[i], |_, branch| {
             branch.drag_v_per_c = 2.0e5;
             branch.skew_per_c = skew;
         })?;
-        compare(stack, true, share, |_, limit, i| limit * shares[i], |tick, branch| branch.limit_scale = scales[tick])?;
+        compare(stack, true, give, |_, limit, i| limit * shares[i], |tick, branch| branch.limit_scale = scales[tick])?;
     }
 }

@@ -126,11 +126,11 @@ fn instead(
         let is_better = if start_terms(model).iter().enumerate().any(goes) {
             ours < AS_DRIFT * theirs.max(0.0) + worth
         } else if other.terms.len() < all {
-            ours < theirs.max(0.0) + worth && nowhere_more(scene, [&other, model], worth)
+            ours < theirs.max(0.0) + worth && nowhere_more(scene, [&other, model], axes, worth)
         } else {
             ours < CLEARLY_LESS * theirs
-                && model.fit.cost - other.fit.cost > worth
-                && nowhere_more(scene, [&other, model], worth)
+                && theirs - ours > worth
+                && nowhere_more(scene, [&other, model], axes, worth)
         };
         let is_best = best.as_ref().is_none_or(|best| other.fit.cost < best.fit.cost);
         if is_better && is_best {
@@ -140,13 +140,13 @@ fn instead(
     Ok(best)
 }
 
-/// Whether the first of two models leaves clearly more than the second in no recording: what is the right one is so everywhere, while one
-/// recording of fast edges may tell of integrators.
-fn nowhere_more(scene: &Scene, models: [&Model; 2], worth: f64) -> bool {
+/// Whether the first of two models leaves clearly more of axes (a mask) than the second in no recording: what is the right one is so everywhere,
+/// while one recording of fast edges may tell of integrators.
+fn nowhere_more(scene: &Scene, models: [&Model; 2], axes: u32, worth: f64) -> bool {
     (0..scene.tracks.len()).all(|track| {
         let [ours, theirs] = models.map(|model| {
             let rows = model.fit.stack.iter().zip(&scene.channels);
-            rows.filter(|(_, c)| c.track == track)
+            rows.filter(|(_, c)| c.track == track && axes >> c.axis & 1 == 1)
                 .filter_map(|(row, c)| row.as_ref().map(|row| dot(row, row) - c.noise_cost()))
                 .sum::<f64>()
         });

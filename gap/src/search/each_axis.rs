@@ -20,7 +20,7 @@ const OF_EACH_AXIS: usize = 2;
 
 impl Search<'_> {
     /// Cost of a stack on an axis beyond noise.
-    fn excess_on(&self, stack: &Stack, axis: usize) -> f64 {
+    pub(super) fn excess_on(&self, stack: &Stack, axis: usize) -> f64 {
         self.scene.cost_on(stack, 1 << axis) - self.scene.noise_on(&self.base, 1 << axis)
     }
 

@@ -1,7 +1,7 @@
 //! Loops of any kind, where plain ones do not suffice.
 //!
 //! A loop of another height, width, fullness or symmetry about its centre takes four numbers. Loops of other laws (of Bouc and Wen's or Dahl's
-//! kind, of Preisach's, of a continuum of plays, about another voltage) take four more, and with eight numbers an axis a loop bends to
+//! kind, of Preisach's, of a continuum of plays, about another voltage) take five more, and with nine numbers an axis a loop bends to
 //! much that is none: the half per cent of a gain, a drift. So a search is made with the plain loop first. Only where that loop is a good
 //! part of the answer, and the best model still leaves something, is it let go; and what it then explains counts if it is much more, or as much with
 //! fewer effects.
@@ -14,24 +14,24 @@ use crate::search::select::{CLOSED, MOST_EFFECTS, Search};
 use crate::session::scene::{Stack, Wanted};
 
 /// The effect that this is about.
-const LOOP: &str = "hysteresis-shape";
+pub(super) const LOOP: &str = "hysteresis-shape";
 /// Its parameters beyond the plain ones.
-const FURTHER: [&str; 4] = ["bend", "imprint_v", "yield", "spread"];
+const FURTHER: [&str; 5] = ["bend", "imprint_v", "yield", "spread", "recoil"];
 
 /// Those that take the corners off a loop, and how far they do where a fit did not get away from corners.
-const GIVEN_WAY: [(&str, f64); 2] = [("yield", 0.3), ("spread", 0.3)];
+const GIVEN_WAY: [(&str, f64); 3] = [("yield", 0.3), ("spread", 0.3), ("recoil", 0.5)];
 /// Share of the cost that a fit which got nowhere leaves.
 const STUCK: f64 = 0.999;
 
 /// The effect that other laws of a loop are most like: the same memory, of a force instead of a voltage.
-const FRICTION: &str = "friction";
+pub(super) const FRICTION: &str = "friction";
 
 /// Share of the gap of an axis that the plain loop must account for, alone or beside others, on an axis that counts.
 const PLAIN_LOOP: f64 = 0.2;
 /// ... or this one, where no other effect accounts for half of the gap.
-const PLAIN_LOOP_AT_LEAST: f64 = 0.03;
+pub(super) const PLAIN_LOOP_AT_LEAST: f64 = 0.03;
 /// Share of the whole gap that makes an axis count.
-const COUNTS: f64 = 0.1;
+pub(super) const COUNTS: f64 = 0.1;
 /// Share of what the plain loop alone leaves on these axes that any loop alone may leave at most: else its law was not what was missing.
 const ANOTHER_LAW: f64 = 0.8;
 /// Share of what the model with a plain loop leaves that one with any loop may leave at most.
@@ -47,7 +47,7 @@ const LESS: f64 = 0.8;
 /// Multiple of what a plain model leaves that a loop of any law may leave to be looked into.
 const NEAR: f64 = 2.0;
 /// Share of the gap that a model leaves at most whose loop is let go although another one was chosen.
-const HALF: f64 = 0.5;
+pub(super) const HALF: f64 = 0.5;
 /// Share of the gap that the form of a single right effect leaves.
 const FORM_OF_ONE: f64 = 0.01;
 /// ... and the share below which no loop is let go any more once a search has spent what it may.
@@ -167,7 +167,7 @@ impl Search<'_> {
     }
 
     /// `bound` with its loop let go, as far as it may come below these costs.
-    fn let_go(&self, bound: &Model, hopeless: f64, worth: f64) -> Result<Model, Error> {
+    pub(super) fn let_go(&self, bound: &Model, hopeless: f64, worth: f64) -> Result<Model, Error> {
         let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(bound).into_iter().unzip();
         let effort = Effort { iterations: ITERATIONS, hopeless, worth, ..self.effort() };
         let freed = self.fit_model(terms.clone(), start.concat(), effort)?;
@@ -180,17 +180,21 @@ impl Search<'_> {
     /// The search gone on with a loop of any law right after two effects, where that accounts for all that two with a plain loop leave: what
     /// a third effect would make up for is known then. Others in the place of either are tried there as well.
     pub(crate) fn two_with_any_loop(&mut self, plain: &Model) -> Result<Option<Model>, Error> {
-        let left = |m: &Model| m.fit.cost - self.noise;
         let closed = CLOSED * self.gap;
-        if self.ranges.any_loop || left(plain) * MUCH_LESS < closed || self.is_spent() {
+        let left_by_plain = plain.fit.cost - self.noise;
+        if self.ranges.any_loop || left_by_plain * MUCH_LESS < closed || self.is_spent() {
             return Ok(None);
         }
+        if let Some(any) = self.instead_of_two_that_fight(plain)? {
+            return Ok(Some(any));
+        }
+        let left = |m: &Model| m.fit.cost - self.noise;
         // Friction makes up for a law that the plain loop does not have.
         let is_pair = |m: &&Model| {
             let key = m.key();
             key.len() == 2 && key.contains(&LOOP) && !key.contains(&FRICTION)
         };
-        let near = |m: &&Model| left(m) < NEAR * left(plain);
+        let near = |m: &&Model| left(m) < NEAR * left_by_plain;
         let Some(bound) = self.tried.iter().filter(is_pair).find(near).cloned() else {
             return Ok(None);
         };

@@ -8,11 +8,12 @@
 //! | where a fit starts that does not get there by itself | `resonance`, `alike`, `threshold`, `variety`, `further_mode`, `wander`, `pairs` |
 //! | what is not worth fitting to the end, and what is worth an effect more | `few`, `worth` |
 //! | other effects in the place of those chosen, fewer, none where they do nothing | `swap`, `trade`, `fewer`, `prune` |
-//! | loops of any law | `loops` |
-//! | what all axes have alike | `last_axis` |
+//! | loops of any law | `loops`, `laws` |
+//! | what all axes have alike | `beside_alike`, `last_axis` |
 //! | the whole of it, checked on recordings held out | `found` |
 
 mod alike;
+mod beside_alike;
 mod compose;
 mod direction;
 mod each_axis;
@@ -22,6 +23,7 @@ pub(crate) mod found;
 mod further_mode;
 mod joint;
 pub(crate) mod last_axis;
+mod laws;
 pub(crate) mod loops;
 mod pairs;
 mod prune;

@@ -146,6 +146,10 @@ impl<'a> Search<'a> {
             self.remember(model);
         }
         self.of_each_axis(&nominal_gains)?;
+        self.beside_what_others_have()?;
+        if let Some(model) = self.law_of_an_axis(&nominal_gains)? {
+            return Ok(Some(model));
+        }
         for size in 2..=MOST_EFFECTS {
             self.compose(size)?;
         }

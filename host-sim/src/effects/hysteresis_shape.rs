@@ -29,14 +29,15 @@ static INFO: Info = Info {
         Parameter::size("imprint_v", "V", 0.0, (-30.0, 30.0), 1.0, "voltage about which the loops lie: an internal bias of the ceramic"),
         Parameter::size("yield", "1", 0.0, (0.0, 1.0), 0.3, "by how much every element gives way before it slips: rounder loops, a memory that small cycles wear off"),
         Parameter::size("spread", "1", 0.0, (0.0, 1.0), 0.5, "spread of the slip charge within an element, over the least slip charge: a continuum instead of steps"),
+        Parameter::size("recoil", "1", 1.0, (0.0, 1.0), 0.5, "share of the yield on the way back: 1 for Dahl's law, 0 for that of Bouc and Wen with beta = gamma"),
     ],
     threshold: false,
     physics: "Element i: slope k_i' = strength e^(tilt u + bend (u^2 - 1/12)) k_i with u = Delta_i/Delta_max - 1/2, slip charge slip Delta_i; the \
               hysteresis voltage is multiplied by 1 + skew q/Delta_max and shifted by the imprint. With a yield y an element follows the charge by \
-              dz = dq (1 - y sgn(dq) z/Delta_i) until it slips (Dahl's law). Rate-independent, resets at reversals, grows \
+              dz = dq (1 - y sgn(dq) z/Delta_i) until it slips (Dahl's law), on the way back with recoil y (Bouc and Wen's). Rate-independent, resets at reversals, grows \
               with amplitude. A stack whose rig has no elements gets ten of equal slope, in proportion to \
               strength - 1, spread over half the charge of its voltage range.",
-    source: "Goldfarb and Celanovic, IEEE CSM 17(3), 1997; P. R. Dahl, Aerospace Corp. TOR-0158(3107-18)-1, 1968; internal bias: Carl and Haerdtl, Ferroelectrics 17, 473, 1978; loops 10 to 15 % at full stroke, 2 % small (notes/physics.md, 4)",
+    source: "Goldfarb and Celanovic, IEEE CSM 17(3), 1997; P. R. Dahl, Aerospace Corp. TOR-0158(3107-18)-1, 1968; Y. K. Wen, J. Eng. Mech. Div. ASCE 102(2), 1976; internal bias: Carl and Haerdtl, Ferroelectrics 17, 473, 1978; loops 10 to 15 % at full stroke, 2 % small (notes/physics.md, 4)",
     revealed_by: "slow triangles at several strokes, nested loops; phase towards 0 Hz that grows with level",
     confused_with: &["hysteresis-rate", "friction", "piezo-gain", "creep"],
 };
@@ -79,7 +80,8 @@ impl Effect for HysteresisShape {
     }
 
     fn apply(&self, values: &[f64], place: Place, model: &mut Model, _step_s: f64) {
-        let [strength, slip, tilt, bend, skew, imprint_v, element_yield, spread] = values[..8]
+        let [strength, slip, tilt, bend, skew, imprint_v, element_yield, spread, recoil] =
+            values[..9]
         else {
             return;
         };
@@ -107,5 +109,6 @@ impl Effect for HysteresisShape {
         piezo.skew_per_c = skew / full;
         piezo.imprint_v = imprint_v;
         piezo.element_yield = element_yield;
+        piezo.element_recoil = recoil;
     }
 }

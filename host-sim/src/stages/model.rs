@@ -91,6 +91,8 @@ pub struct PiezoModel {
     pub imprint_v: f64,
     /// By how much the elements give way before they slip, 0 to 1.
     pub element_yield: f64,
+    /// Share of that on their way back, 0 to 1.
+    pub element_recoil: f64,
     /// Growth of the hysteresis voltage with charge, 1/C.
     pub skew_per_c: f64,
     /// Loss in series with the elements, V per A at a current of [`LOSS_AT_A`].
@@ -264,6 +266,7 @@ impl AxisModel {
                 limits_v: piezo.hysteresis.limit_v.clone(),
                 imprint_v: 0.0,
                 element_yield: 0.0,
+                element_recoil: 1.0,
                 skew_per_c: 0.0,
                 resistance_ohm: 0.0,
                 loss_exponent: 1.0,

@@ -99,7 +99,7 @@ impl AxisSim {
                 &piezo.slopes_v_per_c,
                 &piezo.limits_v,
                 by_current.has_law(),
-                piezo.element_yield,
+                (piezo.element_yield, piezo.element_recoil),
             ),
             mechanism,
             forces: model.mechanism.forces,

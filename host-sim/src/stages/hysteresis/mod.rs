@@ -87,11 +87,11 @@ macro_rules! either {
 }
 
 impl Elements {
-    /// Elements from slopes (V/C) and limits (V), virgin; `scaled`: their limits will change from tick to tick; `share`: by how much
-    /// they give way before they slip, 0 to 1.
-    pub fn new(slopes: &[f64], limits: &[f64], scaled: bool, share: f64) -> Self {
-        if share > 0.0 {
-            Self::Yielding(Yielding::new(slopes, limits, share))
+    /// Elements from slopes (V/C) and limits (V), virgin; `scaled`: their limits will change from tick to tick; `give`: by how much
+    /// they give way before they slip, and which share of that on the way back, both 0 to 1.
+    pub fn new(slopes: &[f64], limits: &[f64], scaled: bool, give: (f64, f64)) -> Self {
+        if give.0 > 0.0 {
+            Self::Yielding(Yielding::new(slopes, limits, give))
         } else if scaled {
             Self::Zones(Zones::new(slopes, limits))
         } else {

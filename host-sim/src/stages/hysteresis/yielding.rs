@@ -4,11 +4,16 @@
 //! `dz = dq (1 - y sgn(dq) z / slip)` with the yield `y` from 0 to 1, and slips at `|z| = slip` as before: Dahl's law of solid
 //! friction (P. R. Dahl, "A solid friction model", Aerospace Corp. TOR-0158(3107-18)-1, 1968), of which a slip element
 //! (`y = 0`) is one end. Loops become rounder, a reversal begins steeper than the virgin curve, and minor loops do not close where
-//! they began: what is called accommodation in magnets (E. Della Torre, "Magnetic Hysteresis", IEEE Press 1999, chapter 5) and what a
-//! Bouc-Wen loop does too.
+//! they began: what is called accommodation in magnets (E. Della Torre, "Magnetic Hysteresis", IEEE Press 1999, chapter 5).
+//!
+//! On the way back, while `sgn(dq) z < 0`, the yield is `r y` with the recoil `r` from 0 to 1: one is Dahl's law, none lets an element come
+//! back as it went before it gave way. That is the law of Bouc and Wen with an exponent of one, whose beta and gamma are `(1 + r) / 2` and
+//! `(1 - r) / 2` (Y. K. Wen, "Method for random vibration of hysteretic systems", J. Eng. Mech. Div. ASCE 102(2), 1976); its usual choice
+//! of both the same has no recoil.
 //!
 //! Over a tick the law is solved by its (1,1) Pade form, which is exact to the third order in the charge drawn over the slip charge,
-//! and stays between `z` and the slip limit for any charge.
+//! and stays between `z` and the slip limit for any charge. The tick in which an element comes through zero takes the yield of where it
+//! began, which is an error of the second order in the charge of one tick a turn.
 
 use super::{Branch, SlipElements};
 
@@ -34,6 +39,8 @@ pub struct Yielding {
     sum_v: f64,
     /// Slopes if the charge falls or rises from here, V/C.
     tangents: [f64; 2],
+    /// Share of the yield on the way back.
+    recoil: f64,
     /// Whether it rose last.
     rising: bool,
     /// Charge drawn in the tick before, in units of what its first tangent led to.
@@ -71,13 +78,18 @@ impl Group {
 
     /// Sum of the voltages (V) and slopes (V/C) after drawing `drawn` coulombs, which is `far` without its sign.
     #[inline(always)]
-    fn draw(&mut self, (drawn, far, sign): (f64, f64, f64), scale: f64) -> (f64, f64) {
+    fn draw(
+        &mut self,
+        (drawn, far, sign): (f64, f64, f64),
+        (scale, recoil): (f64, f64),
+    ) -> (f64, f64) {
         let (mut volts, mut slope) = ([0.0; LANES], [0.0; LANES]);
         // A yield shares the slip charge's factor.
         let soft = 1.0 / scale;
         for lane in 0..LANES {
             let slip = self.slip_c[lane] * scale;
-            let give = self.give[lane] * soft;
+            let back = if sign * self.z_c[lane] < 0.0 { recoil } else { 1.0 };
+            let give = self.give[lane] * soft * back;
             let half = 0.5 * give * far;
             let inverse = 1.0 / (1.0 + half);
             let free = (self.z_c[lane] * (1.0 - half) + drawn) * inverse;
@@ -96,22 +108,24 @@ impl Group {
 
     /// Slopes if the charge falls and rises from where it stands, V/C.
     #[inline(always)]
-    fn tangents(&self, scale: f64) -> [f64; 2] {
+    fn tangents(&self, scale: f64, recoil: f64) -> [f64; 2] {
         let (mut down, mut up) = ([0.0; LANES], [0.0; LANES]);
         let soft = 1.0 / scale;
         for lane in 0..LANES {
             let (z, slip) = (self.z_c[lane], self.slip_c[lane] * scale);
             let bent = self.give[lane] * soft * z;
-            up[lane] = if z < slip { self.slope[lane] * (1.0 - bent) } else { 0.0 };
-            down[lane] = if z > -slip { self.slope[lane] * (1.0 + bent) } else { 0.0 };
+            let back = bent * recoil;
+            let (rise, fall) = if z < 0.0 { (back, bent) } else { (bent, back) };
+            up[lane] = if z < slip { self.slope[lane] * (1.0 - rise) } else { 0.0 };
+            down[lane] = if z > -slip { self.slope[lane] * (1.0 + fall) } else { 0.0 };
         }
         [(down[0] + down[1]) + (down[2] + down[3]), (up[0] + up[1]) + (up[2] + up[3])]
     }
 }
 
 impl Yielding {
-    /// Elements from slopes (V/C), limits (V) and the yield (0 to 1), virgin.
-    pub fn new(slopes: &[f64], limits: &[f64], share: f64) -> Self {
+    /// Elements from slopes (V/C), limits (V), the yield and the recoil (both 0 to 1), virgin.
+    pub fn new(slopes: &[f64], limits: &[f64], (share, recoil): (f64, f64)) -> Self {
         let mut groups = vec![Group::NONE; slopes.len().div_ceil(LANES)];
         for (i, (&slope, &limit)) in slopes.iter().zip(limits).enumerate() {
             // An element without a slope or a limit holds nothing, whatever its slip charge.
@@ -129,6 +143,7 @@ impl Yielding {
             scale: 1.0,
             sum_v: 0.0,
             tangents: [0.0; 2],
+            recoil: recoil.clamp(0.0, 1.0),
             rising: true,
             short: 1.0,
             next: Trial::default(),
@@ -174,7 +189,7 @@ impl Yielding {
     fn look_around(&mut self) {
         let mut tangents = [0.0; 2];
         for group in &self.groups {
-            let [down, up] = group.tangents(self.scale);
+            let [down, up] = group.tangents(self.scale, self.recoil);
             tangents = [tangents[0] + down, tangents[1] + up];
         }
         self.tangents = tangents;
@@ -186,7 +201,7 @@ impl Yielding {
         let step = (drawn, drawn.abs(), sign);
         let mut sums = (0.0, 0.0);
         for group in &mut self.groups {
-            let (volts, slope) = group.draw(step, scale);
+            let (volts, slope) = group.draw(step, (scale, self.recoil));
             sums = (sums.0 + volts, sums.1 + slope);
         }
         sums

@@ -1,0 +1,141 @@
+//! What one axis has beside the effect that all of them have.
+//!
+//! Stages are built alike, and what creeps or lags on two axes does so on the third. Where that one has a plain error of its own as well, the
+//! common effect by itself accounts for little of it and is not gone on from: one that bends to both does better. So where an effect alone
+//! accounts for every other axis, it is fitted to that one too, from where it stands there, beside each of the plain effects that the rest
+//! asks for. What this comes to is for [`crate::search::compose`] to take up.
+
+use host_sim::effects::Place;
+
+use crate::Error;
+use crate::fitting::fit::{Effort, Sensitivities};
+use crate::fitting::knobs::{EffectRef, is_plain, knobs_at};
+use crate::fitting::model::{Model, Term, knobs_from};
+use crate::search::screen::Gain;
+use crate::search::select::Search;
+use crate::session::scene::Wanted;
+
+/// Other axes that have to show the effect.
+const LEAST_SEEN: usize = 2;
+/// Share of the gap of each of them that it leaves at most,
+const ACCOUNTS: f64 = 0.1;
+/// and of that of the axis in question which the best effect alone leaves at least, or nothing is looked for.
+const OPEN: f64 = 0.0005;
+/// Share of the whole gap that this axis has.
+const COUNTS: f64 = 0.05;
+/// Effects of all others that are fitted there,
+const ALIKE: usize = 2;
+/// and plain ones beside each.
+const PARTNERS: usize = 3;
+
+impl Search<'_> {
+    /// Fit what other axes have, and a plain effect beside it, on each axis that asks for more.
+    pub(crate) fn beside_what_others_have(&mut self) -> Result<(), Error> {
+        // Where gauges read several axes no residual is of one of them.
+        if self.nominal.output_map.is_some() {
+            return Ok(());
+        }
+        let loud: Vec<usize> =
+            (0..self.nominal.axes.len()).filter(|axis| self.loud >> axis & 1 == 1).collect();
+        for &axis in &loud {
+            let others: Vec<usize> = loud.iter().copied().filter(|&other| other != axis).collect();
+            let is_open = self.tried.iter().all(|m| self.share_of_axis(m, axis) > OPEN);
+            let counts = self.excess_on(&self.base, axis) > COUNTS * self.gap;
+            if others.len() < LEAST_SEEN || !counts || !is_open {
+                continue;
+            }
+            for (effect, values) in self.of_all_others(axis, &others) {
+                for (partner, start) in self.plain_beside(axis, effect, &values)? {
+                    if self.is_spent() {
+                        return Ok(());
+                    }
+                    let places = || vec![Place::Axis(axis)];
+                    let terms = vec![
+                        Term { effect, places: places() },
+                        Term { effect: partner, places: places() },
+                    ];
+                    let start = [values.clone(), start].concat();
+                    let effort = Effort { tolerance: 2.0e-2, ..self.effort() };
+                    let model = self.fit_model(terms, start, effort)?;
+                    // What is of no use there says nothing of the two on other axes.
+                    let share = self.share_of_axis(&model, axis);
+                    if self.tried.iter().all(|m| self.share_of_axis(m, axis) > share) {
+                        self.remember(model);
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Share of the gap of an axis that a model leaves there.
+    fn share_of_axis(&self, model: &Model, axis: usize) -> f64 {
+        self.excess_on(&model.fit.stack, axis) / self.excess_on(&self.base, axis)
+    }
+
+    /// Effects that account for each of `others` alone and for less of `axis`, those that leave least first, with their values on the one
+    /// that they suit best.
+    fn of_all_others(&self, axis: usize, others: &[usize]) -> Vec<(EffectRef, Vec<f64>)> {
+        let worst = |m: &Model| {
+            others.iter().map(|&other| self.share_of_axis(m, other)).fold(0.0, f64::max)
+        };
+        let accounts = |m: &&Model| {
+            let places = m.terms.iter().flat_map(|term| &term.places);
+            m.terms.len() == 1
+                && places.into_iter().all(|place| matches!(place, Place::Axis(_)))
+                && worst(m) < ACCOUNTS
+                && self.share_of_axis(m, axis) > worst(m).max(OPEN)
+        };
+        let mut found: Vec<&Model> = self.tried.iter().filter(accounts).collect();
+        found.sort_by(|a, b| worst(a).total_cmp(&worst(b)));
+        let mut names: Vec<&str> = Vec::new();
+        found.retain(|m| {
+            let name = m.terms[0].name();
+            let is_new = !names.contains(&name);
+            names.push(name);
+            is_new
+        });
+        let of_best = |m: &Model| {
+            let by_share = |&&a: &&usize, &&b: &&usize| {
+                self.share_of_axis(m, a).total_cmp(&self.share_of_axis(m, b))
+            };
+            let best = *others.iter().min_by(by_share)?;
+            let term = &m.terms[0];
+            let place = term.places.iter().position(|p| *p == Place::Axis(best))?;
+            Some((term.effect, m.values(0, place).to_vec()))
+        };
+        found.into_iter().filter_map(of_best).take(ALIKE).collect()
+    }
+
+    /// Plain effects that promise most on an axis beside an effect of such values there, with what they start from.
+    fn plain_beside(
+        &self,
+        axis: usize,
+        effect: EffectRef,
+        values: &[f64],
+    ) -> Result<Vec<(EffectRef, Vec<f64>)>, Error> {
+        let place = Place::Axis(axis);
+        let knobs = knobs_at(effect, place, &self.ranges);
+        let mut rig = self.nominal.clone();
+        for (knob, &value) in knobs.iter().zip(values) {
+            knob.write(&mut rig, value)?;
+        }
+        let wanted = Wanted { axes: 1 << axis, monitors: true };
+        let stack = self.scene.residuals_at(&rig, wanted, self.include)?;
+        let term = Term { effect, places: vec![place] };
+        let knobs = knobs_from(&[term], values, &self.ranges);
+        let known =
+            Sensitivities::at(self.scene, self.nominal, &knobs, values, &stack, self.include)?;
+        let gains = self.screen.test(self.scene, &stack, Some(&known));
+        let here = |(gains, &other): (&Vec<Gain>, &EffectRef)| {
+            let gain = gains.iter().find(|gain| gain.place == place)?;
+            let is_it = is_plain(other) && other.info().name != effect.info().name;
+            is_it.then(|| (other, gain.clone()))
+        };
+        let mut likely: Vec<(EffectRef, Gain)> =
+            gains.iter().zip(&self.screen.effects).filter_map(here).collect();
+        likely.sort_by(|a, b| b.1.gain.total_cmp(&a.1.gain));
+        likely.truncate(PARTNERS);
+        Ok(likely.into_iter().map(|(effect, gain)| (effect, gain.start)).collect())
+    }
+}

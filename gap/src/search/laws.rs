@@ -1,0 +1,124 @@
+//! Loops of any law at once, where what was fitted says that no plain one will do.
+//!
+//! A search with plain loops may spend all it has on what makes up for the law of a loop before [`crate::search::loops`] lets one go. Two things say
+//! early that it will: an axis of several of which no effect accounts for half, the plain loop for some of it and a loop let go for most;
+//! and a plain loop beside friction, each of which takes back what the other one does. The search then goes on from the loop that was let
+//! go, and what it comes to counts if it leaves no more than the form of a loop. Otherwise nothing has been said.
+
+use host_sim::effects::Place;
+
+use crate::Error;
+use crate::fitting::model::{Model, Term};
+use crate::search::loops::{COUNTS, FRICTION, HALF, LOOP, PLAIN_LOOP_AT_LEAST};
+use crate::search::screen::Gain;
+use crate::search::select::Search;
+use crate::session::scene::Wanted;
+
+/// Share of the gap of an axis that a loop of another law leaves there at most, where no effect accounts for half of it.
+const MOST_OF_AN_AXIS: f64 = 0.2;
+/// What a loop and friction that take back what the other one does have to take off an axis, as a multiple of its gap.
+const FIGHTS: f64 = 2.0;
+/// Share of the gap that the form of such a loop leaves at most, once what else is missing is told beside it.
+const FORM_OF_ANY: f64 = 0.03;
+
+impl Search<'_> {
+    /// The model of a search in which loops are let go at once, where one of several axes asks for it: no effect accounts for half of what it
+    /// has by itself, the plain loop does for some of it and a loop of another law for most. What else is missing, there and elsewhere, is
+    /// then told beside the loop that is; `None` where that leaves more than the form of the loop.
+    pub(crate) fn law_of_an_axis(&mut self, gains: &[Vec<Gain>]) -> Result<Option<Model>, Error> {
+        let axes: Vec<usize> =
+            (0..self.nominal.axes.len()).filter(|axis| self.loud >> axis & 1 == 1).collect();
+        if axes.len() < 2 || self.ranges.any_loop {
+            return Ok(None);
+        }
+        let mut freed = Vec::new();
+        for axis in axes {
+            let gap = self.excess_on(&self.base, axis);
+            let closes = |m: &Model| self.excess_on(&m.fit.stack, axis) <= HALF * gap;
+            if gap < COUNTS * self.gap || self.tried.iter().any(closes) || self.is_spent() {
+                continue;
+            }
+            let place = Place::Axis(axis);
+            let of_loop = gains.iter().zip(&self.screen.effects);
+            let mut of_loop = of_loop.filter(|(_, effect)| effect.info().name == LOOP);
+            let start = of_loop.next().and_then(|(gains, &effect)| {
+                let gain = gains.iter().find(|gain| gain.place == place)?;
+                Some((effect, gain.start.clone()))
+            });
+            let Some((effect, start)) = start else { continue };
+            let bound =
+                self.fit_model(vec![Term { effect, places: vec![place] }], start, self.effort())?;
+            if self.excess_on(&bound.fit.stack, axis) > (1.0 - PLAIN_LOOP_AT_LEAST) * gap {
+                continue;
+            }
+            self.ranges.any_loop = true;
+            let free = self.let_go(&bound, f64::INFINITY, f64::INFINITY);
+            self.ranges.any_loop = false;
+            let free = free?;
+            if self.excess_on(&free.fit.stack, axis) < MOST_OF_AN_AXIS * gap {
+                freed.push(free);
+            }
+        }
+        if freed.is_empty() { Ok(None) } else { self.beside_laws(freed) }
+    }
+
+    /// The model of a search gone on from loops that were let go, if there is one among its effects, friction is not, and what they leave is the
+    /// form of a loop.
+    fn beside_laws(&mut self, freed: Vec<Model>) -> Result<Option<Model>, Error> {
+        let known = self.tried.clone();
+        self.tried.retain(|model| !model.key().contains(&LOOP));
+        freed.into_iter().for_each(|free| self.remember(free));
+        self.ranges.any_loop = true;
+        let any = self.select()?;
+        let is_it = |m: &Model| {
+            let key = m.key();
+            key.contains(&LOOP)
+                && !key.contains(&FRICTION)
+                && m.fit.cost - self.noise < FORM_OF_ANY * self.gap
+        };
+        if any.as_ref().is_some_and(is_it) {
+            return Ok(any);
+        }
+        self.ranges.any_loop = false;
+        self.tried = known;
+        Ok(None)
+    }
+
+    /// The model of a search gone on from a loop that was let go, where `two` are a plain loop and friction which take back on an axis what the
+    /// other one does: each of them more than all that is missing there. Both then make up for a law that neither has.
+    pub(super) fn instead_of_two_that_fight(
+        &mut self,
+        two: &Model,
+    ) -> Result<Option<Model>, Error> {
+        let mut key = two.key();
+        key.retain(|name| ![LOOP, FRICTION].contains(name));
+        let alone = self.tried.iter().find(|m| m.key() == [LOOP]).cloned();
+        let (true, Some(alone)) = (key.is_empty() && two.terms.len() == 2, alone) else {
+            return Ok(None);
+        };
+        let mut fight = u32::MAX;
+        for t in 0..2 {
+            let rig = two.without(self.nominal, t, |_| true)?;
+            let stack = self.scene.residuals_at(&rig, Wanted::ALL, self.include)?;
+            let axes = two.terms[t].axes().into_iter();
+            let takes_back = |axis: &usize| {
+                let missing = self.excess_on(&stack, *axis) - self.excess_on(&two.fit.stack, *axis);
+                missing > FIGHTS * self.excess_on(&self.base, *axis)
+            };
+            fight &= axes.filter(takes_back).fold(0, |mask, axis| mask | 1 << axis);
+        }
+        if fight == 0 {
+            return Ok(None);
+        }
+        self.ranges.any_loop = true;
+        let free = self.let_go(&alone, f64::INFINITY, f64::INFINITY);
+        self.ranges.any_loop = false;
+        let free = free?;
+        let most = MOST_OF_AN_AXIS * self.left_on(&self.base, fight);
+        if self.left_on(&free.fit.stack, fight) < most {
+            self.beside_laws(vec![free])
+        } else {
+            Ok(None)
+        }
+    }
+}
