@@ -19,10 +19,15 @@ use crate::session::scene::Wanted;
 const LEAST_SEEN: usize = 2;
 /// Share of the gap of each of them that it leaves at most,
 const ACCOUNTS: f64 = 0.1;
+/// or that the form of one may leave,
+const FORM: f64 = 0.02;
 /// and of that of the axis in question which the best effect alone leaves at least, or nothing is looked for.
 const OPEN: f64 = 0.0005;
 /// Share of the whole gap that this axis has.
 const COUNTS: f64 = 0.05;
+/// Multiple of the share which an effect leaves of the one that it suits least of the others that it leaves of this one at least: what it lacks
+/// everywhere is not of this axis.
+const LAGS: f64 = 3.0;
 /// Effects of all others that are fitted there,
 const ALIKE: usize = 2;
 /// and plain ones beside each.
@@ -44,7 +49,7 @@ impl Search<'_> {
             if others.len() < LEAST_SEEN || !counts || !is_open {
                 continue;
             }
-            for (effect, values) in self.of_all_others(axis, &others) {
+            for (effect, values, worst) in self.of_all_others(axis, &others) {
                 for (partner, start) in self.plain_beside(axis, effect, &values)? {
                     if self.is_spent() {
                         return Ok(());
@@ -57,9 +62,10 @@ impl Search<'_> {
                     let start = [values.clone(), start].concat();
                     let effort = Effort { tolerance: 2.0e-2, ..self.effort() };
                     let model = self.fit_model(terms, start, effort)?;
-                    // What is of no use there says nothing of the two on other axes.
+                    // What does not account for this axis as well may be where a fit got stuck, and keeps the two from being tried together.
                     let share = self.share_of_axis(&model, axis);
-                    if self.tried.iter().all(|m| self.share_of_axis(m, axis) > share) {
+                    let accounts = share < worst.max(FORM);
+                    if accounts && self.tried.iter().all(|m| self.share_of_axis(m, axis) > share) {
                         self.remember(model);
                     }
                 }
@@ -74,8 +80,8 @@ impl Search<'_> {
     }
 
     /// Effects that account for each of `others` alone and for less of `axis`, those that leave least first, with their values on the one
-    /// that they suit best.
-    fn of_all_others(&self, axis: usize, others: &[usize]) -> Vec<(EffectRef, Vec<f64>)> {
+    /// that they suit best and the share that they leave of the one that they suit least.
+    fn of_all_others(&self, axis: usize, others: &[usize]) -> Vec<(EffectRef, Vec<f64>, f64)> {
         let worst = |m: &Model| {
             others.iter().map(|&other| self.share_of_axis(m, other)).fold(0.0, f64::max)
         };
@@ -84,7 +90,7 @@ impl Search<'_> {
             m.terms.len() == 1
                 && places.into_iter().all(|place| matches!(place, Place::Axis(_)))
                 && worst(m) < ACCOUNTS
-                && self.share_of_axis(m, axis) > worst(m).max(OPEN)
+                && self.share_of_axis(m, axis) > OPEN.max(LAGS * worst(m))
         };
         let mut found: Vec<&Model> = self.tried.iter().filter(accounts).collect();
         found.sort_by(|a, b| worst(a).total_cmp(&worst(b)));
@@ -102,7 +108,7 @@ impl Search<'_> {
             let best = *others.iter().min_by(by_share)?;
             let term = &m.terms[0];
             let place = term.places.iter().position(|p| *p == Place::Axis(best))?;
-            Some((term.effect, m.values(0, place).to_vec()))
+            Some((term.effect, m.values(0, place).to_vec(), worst(m)))
         };
         found.into_iter().filter_map(of_best).take(ALIKE).collect()
     }

@@ -10,8 +10,12 @@ use host_sim::effects::Place;
 use crate::Error;
 use crate::fitting::fit::Effort;
 use crate::fitting::model::{Model, Term, join_terms};
+use crate::judge::accept::has_many_laws;
 use crate::judge::ambiguity::NOISE_MARGIN;
 use crate::search::select::Search;
+
+/// Share of what an effect of many laws leaves of an axis by which a plain one may leave more.
+const AS_LITTLE: f64 = 0.1;
 
 /// What one model does on one axis.
 struct Part {
@@ -19,7 +23,7 @@ struct Part {
     of: Option<usize>,
     /// Its effects there, sorted.
     names: Vec<&'static str>,
-    /// Cost that it leaves there, and what each of its effects has to be worth.
+    /// Cost that it leaves there, and what each of its effects has to be worth, more if one of them can take many forms.
     price: f64,
 }
 
@@ -45,7 +49,7 @@ impl Search<'_> {
         let Some((price, picked)) = cheapest(&parts, size) else { return Ok(()) };
         let price_of = |best: Model| {
             let terms: usize = best.terms.iter().map(|t| t.places.len()).sum();
-            best.fit.cost + NOISE_MARGIN * terms as f64
+            best.fit.cost + NOISE_MARGIN * terms as f64 + self.form_of(&best)
         };
         let known = (1..=most).filter_map(|n| self.best_of(n)).map(price_of);
         let known = known.fold(f64::INFINITY, f64::min);
@@ -67,6 +71,12 @@ impl Search<'_> {
         let model = self.fit_model(terms, start.concat(), effort)?;
         self.remember(model);
         Ok(())
+    }
+
+    /// What models of fewer numbers may leave more than this one, for the form that an effect of many laws among its own takes on.
+    pub(crate) fn form_of(&self, model: &Model) -> f64 {
+        let bends = model.terms.iter().any(|term| has_many_laws(term.name()));
+        if bends { AS_LITTLE * (model.fit.cost - self.noise).max(0.0) } else { 0.0 }
     }
 
     /// Whether a model of these effects was fitted that has all of them on one axis at least: a composition of what suits different axes
@@ -92,7 +102,11 @@ impl Search<'_> {
             let mut names: Vec<_> = model.terms.iter().filter(here).map(Term::name).collect();
             names.sort_unstable();
             let left = self.scene.cost_on(&model.fit.stack, 1 << axis);
-            let price = left + NOISE_MARGIN * names.len() as f64;
+            // What a plain effect does about as well on one axis, one of many laws is not needed for.
+            let bends = names.iter().any(|name| has_many_laws(name));
+            let form =
+                if bends { AS_LITTLE * self.left_on(&model.fit.stack, 1 << axis) } else { 0.0 };
+            let price = left + NOISE_MARGIN * names.len() as f64 + form.max(0.0);
             match parts.iter_mut().find(|part| part.names == names) {
                 Some(known) if known.price <= price => {}
                 Some(known) => *known = Part { of: Some(of), names, price },

@@ -12,6 +12,9 @@ use crate::session::scene::Wanted;
 /// A plainer model may leave this much more than the best one, of what that leaves, or of what it saves.
 const AS_LITTLE: f64 = 0.1;
 
+/// What a model that is behind leaves at most, as a multiple of what the one before it does.
+const NEAR: f64 = 4.0;
+
 /// Models about which effects are swapped: the plainest of them may be another one than what was swapped about.
 const ROUNDS: usize = 2;
 
@@ -60,8 +63,9 @@ impl Search<'_> {
             let rest = offers.split_off(offers.len().min(self.breadth.swaps));
             // What it is known to be confused with is asked for, however many others promise more.
             let alike = model.terms[t].effect.info().confused_with;
-            let is_alike = |(effect, _): &(EffectRef, _)| alike.contains(&effect.info().name);
-            let (known, plain): (Vec<_>, Vec<_>) = rest.into_iter().partition(is_alike);
+            let is_alike = |effect: &EffectRef| alike.contains(&effect.info().name);
+            let (known, plain): (Vec<_>, Vec<_>) =
+                rest.into_iter().partition(|(effect, _)| is_alike(effect));
             offers.extend(known);
             let plain = plain.into_iter();
             // An effect of many forms promises more than the plain one whose form it takes on here.
@@ -74,13 +78,26 @@ impl Search<'_> {
                 let mut key: Vec<&str> = terms.iter().map(Term::name).collect();
                 key.push(effect.info().name);
                 key.sort_unstable();
-                if !self.is_tried(&key) {
+                if !self.is_tried(&key) || (is_alike(&effect) && self.is_behind(model, &key, t)) {
                     let model = self.fit_terms((&others, &stack), effect, &gains)?;
                     self.remember(model);
                 }
             }
         }
         Ok(())
+    }
+
+    /// Whether the best model of these effects is not far behind `model` and may be where its fit got stuck: beside what has a form of its own, other
+    /// than in term `t`, an effect that is confused with that one is worth a fit from where those stand now.
+    fn is_behind(&self, model: &Model, key: &[&str], t: usize) -> bool {
+        let left = |m: &Model| m.fit.cost - self.noise;
+        let mut others = model.terms.iter().enumerate().filter(|(other, _)| *other != t);
+        let best = self.tried.iter().find(|m| m.key() == key);
+        others.any(|(_, term)| !is_plain(term.effect))
+            && best.is_some_and(|best| {
+                let behind = best.fit.cost - model.fit.cost;
+                behind > NOISE_MARGIN && left(best) < NEAR * left(model)
+            })
     }
 
     /// The model of fewest numbers among those that leave about as little as the best one, of as many effects.

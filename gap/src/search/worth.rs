@@ -49,7 +49,7 @@ impl Search<'_> {
             || (larger.numbers() < smaller.numbers()
                 && saved > self.worth_of_plainer(smaller.fit.cost - self.noise))
             || (larger.numbers() < smaller.numbers()
-                && saved > NOISE_MARGIN
+                && saved > NOISE_MARGIN - self.form_of(smaller)
                 && larger.splits(smaller))
     }
 
