@@ -102,3 +102,11 @@ fn a_lag_of_all_gauges_is_told_beside_a_stiff_axis() {
     let named = [("stiffness", &[1][..]), ("sensor-bandwidth", &[1, 2, 3])];
     assert_explained(&diagnosis, &named);
 }
+
+#[test]
+fn springs_beside_preloads_are_not_called_crosstalk() {
+    // Beside springs the preloads were first fitted from where they get stuck, and crosstalk was not.
+    let diagnosis = drawn(27272, 13, &["stiffness-coupling", "preload-loss"]);
+    let named = [("stiffness-coupling", &[2, 3][..]), ("preload-loss", &[1, 2, 3])];
+    assert_explained(&diagnosis, &named);
+}

@@ -74,3 +74,12 @@ fn a_loop_and_friction_that_fight_are_a_loop_of_another_law() {
     let named = [("hysteresis-shape", &[1][..]), ("stiffness-coupling", &[1, 3])];
     assert_explained(&diagnosis, &named);
 }
+
+#[test]
+fn a_gain_of_other_axes_is_none_of_a_loop_that_was_let_go() {
+    // Nine numbers do on axes 1 and 2 what a stiffness does to a thirtieth of what either leaves.
+    let diagnosis = drawn(32323, 8, &["stiffness", "hysteresis-shape"]);
+    let causes = causes(&diagnosis);
+    assert_eq!(causes[0], ("hysteresis-shape", &[3][..]));
+    assert_eq!(causes[1], ("stiffness", &[1, 2][..]));
+}
