@@ -1,5 +1,5 @@
 //! Loops of other laws than the fit's: Bouc and Wen's, and one of many one-sided plays, from the truth generator, which shares no code with
-//! the catalogue. And what a loop of eight numbers could pass for.
+//! the catalogue. And what a loop of nine numbers could pass for.
 
 mod common;
 
@@ -63,7 +63,8 @@ fn an_axis_of_another_law_is_told_where_gains_account_for_the_others() {
     let diagnosis = drawn(31313, 16, &["hysteresis-shape", "sensor-gain"]);
     let causes = causes(&diagnosis);
     assert_eq!(causes[0], ("hysteresis-shape", &[2][..]));
-    assert_eq!(causes[1].0, "sensor-gain");
+    // On axis 2 a hundredth of gain is lost in the form of the loop.
+    assert!(causes[1].0 == "sensor-gain" && causes[1].1.contains(&1) && causes[1].1.contains(&3));
     assert!(causes.len() == 2 && diagnosis.gap.closed > 0.98, "{causes:?}");
 }
 
@@ -76,10 +77,12 @@ fn a_loop_and_friction_that_fight_are_a_loop_of_another_law() {
 }
 
 #[test]
-fn a_gain_of_other_axes_is_none_of_a_loop_that_was_let_go() {
+fn a_stiffness_beside_a_large_loop_is_no_loop_on_the_other_axes() {
     // Nine numbers do on axes 1 and 2 what a stiffness does to a thirtieth of what either leaves.
     let diagnosis = drawn(32323, 8, &["stiffness", "hysteresis-shape"]);
     let causes = causes(&diagnosis);
     assert_eq!(causes[0], ("hysteresis-shape", &[3][..]));
-    assert_eq!(causes[1], ("stiffness", &[1, 2][..]));
+    // It is on axis 3 as well, where the form of the loop hides it.
+    assert!(causes[1].0 == "stiffness" && causes[1].1.starts_with(&[1, 2]), "{causes:?}");
+    assert_eq!(causes.len(), 2);
 }

@@ -28,7 +28,11 @@ impl Search<'_> {
     pub(crate) fn law_of_an_axis(&mut self, gains: &[Vec<Gain>]) -> Result<Option<Model>, Error> {
         let axes: Vec<usize> =
             (0..self.nominal.axes.len()).filter(|axis| self.loud >> axis & 1 == 1).collect();
-        if axes.len() < 2 || self.ranges.any_loop {
+        // Where gauges read several axes no residual is of one of them.
+        let are_tied = self.nominal.output_map.is_some();
+        // Another look goes on from what the one before found, which may be no loop at all.
+        let is_first_look = self.known.is_empty();
+        if axes.len() < 2 || are_tied || self.ranges.any_loop || !is_first_look {
             return Ok(None);
         }
         let mut freed = Vec::new();
@@ -85,7 +89,7 @@ impl Search<'_> {
     }
 
     /// The model of a search gone on from a loop that was let go, where `two` are a plain loop and friction which take back on an axis what the
-    /// other one does: each of them more than all that is missing there. Both then make up for a law that neither has.
+    /// other one does: each of them twice what is missing there or more. Both then make up for a law that neither has.
     pub(super) fn instead_of_two_that_fight(
         &mut self,
         two: &Model,
@@ -102,8 +106,9 @@ impl Search<'_> {
             let stack = self.scene.residuals_at(&rig, Wanted::ALL, self.include)?;
             let axes = two.terms[t].axes().into_iter();
             let takes_back = |axis: &usize| {
+                let gap = self.excess_on(&self.base, *axis);
                 let missing = self.excess_on(&stack, *axis) - self.excess_on(&two.fit.stack, *axis);
-                missing > FIGHTS * self.excess_on(&self.base, *axis)
+                gap > COUNTS * self.gap && missing > FIGHTS * gap
             };
             fight &= axes.filter(takes_back).fold(0, |mask, axis| mask | 1 << axis);
         }

@@ -2,7 +2,8 @@
 //!
 //! A loop of another height, width, fullness or symmetry about its centre takes four numbers. Loops of other laws (of Bouc and Wen's or Dahl's
 //! kind, of Preisach's, of a continuum of plays, about another voltage) take five more, and with nine numbers an axis a loop bends to
-//! much that is none: the half per cent of a gain, a drift. So a search is made with the plain loop first. Only where that loop is a good
+//! much that is none: the half per cent of a gain, a drift. So a search is made with the plain loop first, but where `laws` is told
+//! early that none will do. Only where that loop is a good
 //! part of the answer, and the best model still leaves something, is it let go; and what it then explains counts if it is much more, or as much with
 //! fewer effects.
 
@@ -18,7 +19,7 @@ pub(super) const LOOP: &str = "hysteresis-shape";
 /// Its parameters beyond the plain ones.
 const FURTHER: [&str; 5] = ["bend", "imprint_v", "yield", "spread", "recoil"];
 
-/// Those that take the corners off a loop, and how far they do where a fit did not get away from corners.
+/// Where a fit begins that did not get away from corners: what takes them off a loop, and how an element comes back then.
 const GIVEN_WAY: [(&str, f64); 3] = [("yield", 0.3), ("spread", 0.3), ("recoil", 0.5)];
 /// Share of the cost that a fit which got nowhere leaves.
 const STUCK: f64 = 0.999;
@@ -178,7 +179,8 @@ impl Search<'_> {
     }
 
     /// The search gone on with a loop of any law right after two effects, where that accounts for all that two with a plain loop leave: what
-    /// a third effect would make up for is known then. Others in the place of either are tried there as well.
+    /// a third effect would make up for is known then. Others in the place of either are tried there as well. Where the two are a loop and friction
+    /// that fight, the loop by itself has to leave the form of one (`laws`).
     pub(crate) fn two_with_any_loop(&mut self, plain: &Model) -> Result<Option<Model>, Error> {
         let closed = CLOSED * self.gap;
         let left_by_plain = plain.fit.cost - self.noise;

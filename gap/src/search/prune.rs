@@ -25,6 +25,9 @@ const WORTH_OF_LEFT: f64 = 0.1;
 /// ... and this share of what the others leave there if they are fitted without it, where one of them is of many laws: less trims its form.
 const WORTH_OF_TRIM: f64 = 2.0 / 3.0;
 
+/// Iterations of that fit.
+const REFORMED: usize = 12;
+
 /// How the names of lines end.
 pub(crate) const HUM: &str = "-hum";
 
@@ -119,7 +122,9 @@ impl Search<'_> {
                 let name = best.terms[t].name();
                 let rest = best.part(|term, here| term.name() != name || here.places[0] != place);
                 let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = rest.into_iter().unzip();
-                let without = self.fit_model(terms, start.concat(), effort)?;
+                // The form has to find itself again without what trimmed it.
+                let further = Effort { iterations: REFORMED, ..effort };
+                let without = self.fit_model(terms, start.concat(), further)?;
                 let [with, left] =
                     [&best, &without].map(|model| self.left_on(&model.fit.stack, axes));
                 // What drifts is many nanometres and little cost: a resonance that is met to a percent leaves more of that. Most of an axis is no

@@ -7,13 +7,13 @@
 //! they began: what is called accommodation in magnets (E. Della Torre, "Magnetic Hysteresis", IEEE Press 1999, chapter 5).
 //!
 //! On the way back, while `sgn(dq) z < 0`, the yield is `r y` with the recoil `r` from 0 to 1: one is Dahl's law, none lets an element come
-//! back as it went before it gave way. That is the law of Bouc and Wen with an exponent of one, whose beta and gamma are `(1 + r) / 2` and
-//! `(1 - r) / 2` (Y. K. Wen, "Method for random vibration of hysteretic systems", J. Eng. Mech. Div. ASCE 102(2), 1976); its usual choice
+//! back as it went before it gave way. With a yield of one that is the law of Bouc and Wen with an exponent of one, whose beta and gamma are
+//! `(1 + r) / 2` and `(1 - r) / 2` (Y. K. Wen, "Method for random vibration of hysteretic systems", J. Eng. Mech. Div. ASCE 102(2), 1976); its usual choice
 //! of both the same has no recoil.
 //!
 //! Over a tick the law is solved by its (1,1) Pade form, which is exact to the third order in the charge drawn over the slip charge,
-//! and stays between `z` and the slip limit for any charge. The tick in which an element comes through zero takes the yield of where it
-//! began, which is an error of the second order in the charge of one tick a turn.
+//! and stays between `z` and the slip limit for any charge. The step in which an element comes through zero takes the yield of where it
+//! began, which is an error of the second order in the charge of one step, once a reversal.
 
 use super::{Branch, SlipElements};
 
