@@ -10,11 +10,11 @@ use host_sim::effects::Place;
 use crate::Error;
 use crate::fitting::fit::Effort;
 use crate::fitting::model::{Model, Term, join_terms};
-use crate::judge::accept::has_many_laws;
 use crate::judge::ambiguity::NOISE_MARGIN;
+use crate::search::loops::LOOP;
 use crate::search::select::Search;
 
-/// Share of what an effect of many laws leaves of an axis by which a plain one may leave more.
+/// Share of what a loop leaves of an axis by which another effect may leave more.
 const AS_LITTLE: f64 = 0.1;
 
 /// What one model does on one axis.
@@ -23,7 +23,7 @@ struct Part {
     of: Option<usize>,
     /// Its effects there, sorted.
     names: Vec<&'static str>,
-    /// Cost that it leaves there, and what each of its effects has to be worth, more if one of them can take many forms.
+    /// Cost that it leaves there, and what each of its effects has to be worth, more if one of them is a loop, which bends to much.
     price: f64,
 }
 
@@ -73,9 +73,9 @@ impl Search<'_> {
         Ok(())
     }
 
-    /// What models of fewer numbers may leave more than this one, for the form that an effect of many laws among its own takes on.
+    /// What models of fewer numbers may leave more than this one, for the form that a loop among its effects takes on.
     pub(crate) fn form_of(&self, model: &Model) -> f64 {
-        let bends = model.terms.iter().any(|term| has_many_laws(term.name()));
+        let bends = model.terms.iter().any(|term| term.name() == LOOP);
         if bends { AS_LITTLE * (model.fit.cost - self.noise).max(0.0) } else { 0.0 }
     }
 
@@ -102,8 +102,8 @@ impl Search<'_> {
             let mut names: Vec<_> = model.terms.iter().filter(here).map(Term::name).collect();
             names.sort_unstable();
             let left = self.scene.cost_on(&model.fit.stack, 1 << axis);
-            // What a plain effect does about as well on one axis, one of many laws is not needed for.
-            let bends = names.iter().any(|name| has_many_laws(name));
+            // What another effect does about as well on one axis, a loop is not needed for.
+            let bends = names.contains(&LOOP);
             let form =
                 if bends { AS_LITTLE * self.left_on(&model.fit.stack, 1 << axis) } else { 0.0 };
             let price = left + NOISE_MARGIN * names.len() as f64 + form.max(0.0);
