@@ -19,8 +19,10 @@ pub(super) const LOOP: &str = "hysteresis-shape";
 /// Its parameters beyond the plain ones.
 const FURTHER: [&str; 5] = ["bend", "imprint_v", "yield", "spread", "recoil"];
 
-/// Where a fit begins that did not get away from corners: what takes them off a loop, and how an element comes back then.
-const GIVEN_WAY: [(&str, f64); 3] = [("yield", 0.3), ("spread", 0.3), ("recoil", 0.5)];
+/// Where a fit begins that did not get away from corners: what takes them off a loop.
+const GIVEN_WAY: [(&str, f64); 2] = [("yield", 0.3), ("spread", 0.3)];
+/// How an element comes back then: as Dahl's, and half as Bouc and Wen's.
+const RECOILS: [f64; 2] = [1.0, 0.5];
 /// Share of the cost that a fit which got nowhere leaves.
 const STUCK: f64 = 0.999;
 
@@ -61,16 +63,16 @@ pub(crate) fn rests(effect: &str, parameter: &str) -> bool {
     effect == LOOP && FURTHER.contains(&parameter)
 }
 
-/// Values of a model with elements that give way and have spread: from a loop with corners a fit may not get to one without.
-fn given_way(model: &Model) -> Vec<f64> {
+/// Values of a model with elements that give way, come back with this recoil and have spread: from a loop with corners a fit may not get to one without.
+fn given_way(model: &Model, recoil: f64) -> Vec<f64> {
     let mut values = model.fit.values.clone();
     for (t, term) in model.terms.iter().enumerate().filter(|(_, term)| term.name() == LOOP) {
         let parameters = term.effect.info().parameters;
         for place in model.knob_range(t).step_by(parameters.len()) {
             for (value, parameter) in values[place..].iter_mut().zip(parameters) {
-                if let Some((_, start)) = GIVEN_WAY.iter().find(|(name, _)| *name == parameter.name)
-                {
-                    *value = *start;
+                let mut starts = GIVEN_WAY.into_iter().chain([("recoil", recoil)]);
+                if let Some((_, start)) = starts.find(|(name, _)| *name == parameter.name) {
+                    *value = start;
                 }
             }
         }
@@ -173,7 +175,10 @@ impl Search<'_> {
         let effort = Effort { iterations: ITERATIONS, hopeless, worth, ..self.effort() };
         let freed = self.fit_model(terms.clone(), start.concat(), effort)?;
         if freed.fit.cost > STUCK * bound.fit.cost {
-            return self.fit_model(terms, given_way(bound), effort);
+            let [dahl, wen] = RECOILS
+                .map(|recoil| self.fit_model(terms.clone(), given_way(bound, recoil), effort));
+            let (dahl, wen) = (dahl?, wen?);
+            return Ok(if wen.fit.cost < dahl.fit.cost { wen } else { dahl });
         }
         Ok(freed)
     }
