@@ -42,14 +42,12 @@ impl Search<'_> {
         if self.nominal.output_map.is_some() {
             return Ok(());
         }
-        let has_gap = |axis: &usize| {
-            self.loud >> axis & 1 == 1 && self.excess_on(&self.base, *axis) > WORTH_ABSOLUTE
-        };
-        let loud: Vec<usize> = (0..self.nominal.axes.len()).filter(has_gap).collect();
+        let has_gap = |axis: &usize| self.left_on(&self.base, 1 << axis) > WORTH_ABSOLUTE;
+        let loud: Vec<usize> = self.loud_axes().filter(has_gap).collect();
         for &axis in &loud {
             let others: Vec<usize> = loud.iter().copied().filter(|&other| other != axis).collect();
-            let is_open = self.tried.iter().all(|m| self.share_of_axis(m, axis) > OPEN);
-            let counts = self.excess_on(&self.base, axis) > COUNTS * self.gap;
+            let is_open = self.tried.iter().all(|m| self.share_left(m, axis) > OPEN);
+            let counts = self.left_on(&self.base, 1 << axis) > COUNTS * self.gap;
             if others.len() < LEAST_SEEN || !counts || !is_open {
                 continue;
             }
@@ -67,9 +65,9 @@ impl Search<'_> {
                     let effort = Effort { tolerance: 2.0e-2, ..self.effort() };
                     let model = self.fit_model(terms, start, effort)?;
                     // What does not account for this axis as well may be where a fit got stuck, and keeps the two from being tried together.
-                    let share = self.share_of_axis(&model, axis);
+                    let share = self.share_left(&model, axis);
                     let accounts = share < worst.max(FORM);
-                    if accounts && self.tried.iter().all(|m| self.share_of_axis(m, axis) > share) {
+                    if accounts && self.tried.iter().all(|m| self.share_left(m, axis) > share) {
                         self.remember(model);
                     }
                 }
@@ -78,23 +76,17 @@ impl Search<'_> {
         Ok(())
     }
 
-    /// Share of the gap of an axis that a model leaves there.
-    fn share_of_axis(&self, model: &Model, axis: usize) -> f64 {
-        self.excess_on(&model.fit.stack, axis) / self.excess_on(&self.base, axis)
-    }
-
     /// Effects that account for each of `others` alone and for less of `axis`, those that leave least first, with their values on the one
     /// that they suit best and the share that they leave of the one that they suit least.
     fn of_all_others(&self, axis: usize, others: &[usize]) -> Vec<(EffectRef, Vec<f64>, f64)> {
-        let worst = |m: &Model| {
-            others.iter().map(|&other| self.share_of_axis(m, other)).fold(0.0, f64::max)
-        };
+        let worst =
+            |m: &Model| others.iter().map(|&other| self.share_left(m, other)).fold(0.0, f64::max);
         let accounts = |m: &&Model| {
             let places = m.terms.iter().flat_map(|term| &term.places);
             m.terms.len() == 1
                 && places.into_iter().all(|place| matches!(place, Place::Axis(_)))
                 && worst(m) < ACCOUNTS
-                && self.share_of_axis(m, axis) > OPEN.max(LAGS * worst(m))
+                && self.share_left(m, axis) > OPEN.max(LAGS * worst(m))
         };
         let mut found: Vec<&Model> = self.tried.iter().filter(accounts).collect();
         found.sort_by(|a, b| worst(a).total_cmp(&worst(b)));
@@ -107,7 +99,7 @@ impl Search<'_> {
         });
         let of_best = |m: &Model| {
             let by_share = |&&a: &&usize, &&b: &&usize| {
-                self.share_of_axis(m, a).total_cmp(&self.share_of_axis(m, b))
+                self.share_left(m, a).total_cmp(&self.share_left(m, b))
             };
             let best = *others.iter().min_by(by_share)?;
             let term = &m.terms[0];
@@ -134,14 +126,9 @@ impl Search<'_> {
         let known =
             Sensitivities::at(self.scene, self.nominal, &knobs, values, &stack, self.include)?;
         let gains = self.screen.test(self.scene, &stack, Some(&known));
-        let here = |(gains, &other): (&Vec<Gain>, &EffectRef)| {
-            let gain = gains.iter().find(|gain| gain.place == place)?;
-            let is_it = is_plain(other) && other.info().name != effect.info().name;
-            is_it.then(|| (other, gain.clone()))
-        };
-        let mut likely: Vec<(EffectRef, Gain)> =
-            gains.iter().zip(&self.screen.effects).filter_map(here).collect();
-        likely.sort_by(|a, b| b.1.gain.total_cmp(&a.1.gain));
+        let is_it =
+            |other: EffectRef, _: &Gain| is_plain(other) && other.info().name != effect.info().name;
+        let mut likely = self.likeliest_at(place, &gains, is_it);
         likely.truncate(PARTNERS);
         Ok(likely.into_iter().map(|(effect, gain)| (effect, gain.start)).collect())
     }

@@ -13,9 +13,7 @@ use crate::fitting::model::{Model, Term, join_terms};
 use crate::judge::ambiguity::NOISE_MARGIN;
 use crate::search::loops::LOOP;
 use crate::search::select::Search;
-
-/// Share of what a loop leaves of an axis by which another effect may leave more.
-const AS_LITTLE: f64 = 0.1;
+use crate::search::swap::AS_LITTLE;
 
 /// What one model does on one axis.
 struct Part {

@@ -19,31 +19,42 @@ use crate::session::scene::Stack;
 const OF_EACH_AXIS: usize = 2;
 
 impl Search<'_> {
-    /// Cost of a stack on an axis beyond noise.
-    pub(super) fn excess_on(&self, stack: &Stack, axis: usize) -> f64 {
-        self.scene.cost_on(stack, 1 << axis) - self.scene.noise_on(&self.base, 1 << axis)
+    /// Axes where something is missing.
+    pub(super) fn loud_axes(&self) -> impl Iterator<Item = usize> {
+        let loud = self.loud;
+        (0..self.nominal.axes.len()).filter(move |axis| loud >> axis & 1 == 1)
+    }
+
+    /// Effects that are `wanted` and promise something at a place, most first.
+    pub(super) fn likeliest_at(
+        &self,
+        place: Place,
+        gains: &[Vec<Gain>],
+        wanted: impl Fn(EffectRef, &Gain) -> bool,
+    ) -> Vec<(EffectRef, Gain)> {
+        let here = |(gains, &effect): (&Vec<Gain>, &EffectRef)| {
+            let gain = gains.iter().find(|gain| gain.place == place)?;
+            wanted(effect, gain).then(|| (effect, gain.clone()))
+        };
+        let mut likely: Vec<(EffectRef, Gain)> =
+            gains.iter().zip(&self.screen.effects).filter_map(here).collect();
+        likely.sort_by(|a, b| b.1.gain.total_cmp(&a.1.gain));
+        likely
     }
 
     /// Fit what promises most on each axis there alone, unless an effect was found that closes it.
     pub(crate) fn of_each_axis(&mut self, gains: &[Vec<Gain>]) -> Result<(), Error> {
-        let loud: Vec<usize> =
-            (0..self.nominal.axes.len()).filter(|axis| self.loud >> axis & 1 == 1).collect();
+        let loud: Vec<usize> = self.loud_axes().collect();
         if loud.len() < 2 {
             return Ok(());
         }
         for axis in loud {
             let place = Place::Axis(axis);
-            let open = CLOSED * self.excess_on(&self.base, axis);
-            if self.tried.iter().any(|m| self.excess_on(&m.fit.stack, axis) < open) {
+            let open = CLOSED * self.left_on(&self.base, 1 << axis);
+            if self.tried.iter().any(|m| self.left_on(&m.fit.stack, 1 << axis) < open) {
                 continue;
             }
-            let here = |(gains, &effect): (&Vec<Gain>, &EffectRef)| {
-                let gain = gains.iter().find(|gain| gain.place == place)?;
-                (gain.gain > WORTH_ABSOLUTE).then(|| (effect, gain.clone()))
-            };
-            let mut likely: Vec<(EffectRef, Gain)> =
-                gains.iter().zip(&self.screen.effects).filter_map(here).collect();
-            likely.sort_by(|a, b| b.1.gain.total_cmp(&a.1.gain));
+            let mut likely = self.likeliest_at(place, gains, |_, gain| gain.gain > WORTH_ABSOLUTE);
             likely.truncate(OF_EACH_AXIS);
             likely.retain(|(effect, _)| !self.is_tried(&[effect.info().name]));
             for (effect, gain) in likely {
@@ -60,10 +71,10 @@ impl Search<'_> {
     /// Whether every effect of the catalogue was fitted alone and none of them took a fair share off an axis. What one leaves there does not
     /// depend on the other axes, so that a search of this axis alone would come to the same.
     pub(crate) fn knows_nothing_of(&self, axis: usize) -> bool {
-        let gap = self.excess_on(&self.base, axis);
+        let gap = self.left_on(&self.base, 1 << axis);
         let is_enough = |cost: f64| cost - self.noise <= MOSTLY_OPEN * self.gap;
         let does_little =
-            |stack: &Stack| self.excess_on(stack, axis) > (1.0 - WORTH_OF_FIRST) * gap;
+            |stack: &Stack| self.left_on(stack, 1 << axis) > (1.0 - WORTH_OF_FIRST) * gap;
         self.tried.iter().all(|m| !is_enough(m.fit.cost) && does_little(&m.fit.stack))
     }
 }

@@ -8,6 +8,7 @@
 use host_sim::effects::Place;
 
 use crate::Error;
+use crate::fitting::knobs::EffectRef;
 use crate::fitting::model::{Model, Term};
 use crate::search::loops::{COUNTS, FRICTION, HALF, LOOP, PLAIN_LOOP_AT_LEAST};
 use crate::search::screen::Gain;
@@ -26,8 +27,7 @@ impl Search<'_> {
     /// has by itself, the plain loop does for some of it and a loop of another law for most. What else is missing, there and elsewhere, is
     /// then told beside the loop that is; `None` where that leaves more than the form of the loop.
     pub(crate) fn law_of_an_axis(&mut self, gains: &[Vec<Gain>]) -> Result<Option<Model>, Error> {
-        let axes: Vec<usize> =
-            (0..self.nominal.axes.len()).filter(|axis| self.loud >> axis & 1 == 1).collect();
+        let axes: Vec<usize> = self.loud_axes().collect();
         // Where gauges read several axes no residual is of one of them.
         let are_tied = self.nominal.output_map.is_some();
         // Another look goes on from what the one before found, which may be no loop at all.
@@ -37,33 +37,38 @@ impl Search<'_> {
         }
         let mut freed = Vec::new();
         for axis in axes {
-            let gap = self.excess_on(&self.base, axis);
-            let closes = |m: &Model| self.excess_on(&m.fit.stack, axis) <= HALF * gap;
+            let gap = self.left_on(&self.base, 1 << axis);
+            let closes = |m: &Model| self.left_on(&m.fit.stack, 1 << axis) <= HALF * gap;
             if gap < COUNTS * self.gap || self.tried.iter().any(closes) || self.is_spent() {
                 continue;
             }
             let place = Place::Axis(axis);
-            let of_loop = gains.iter().zip(&self.screen.effects);
-            let mut of_loop = of_loop.filter(|(_, effect)| effect.info().name == LOOP);
-            let start = of_loop.next().and_then(|(gains, &effect)| {
-                let gain = gains.iter().find(|gain| gain.place == place)?;
-                Some((effect, gain.start.clone()))
-            });
-            let Some((effect, start)) = start else { continue };
-            let bound =
-                self.fit_model(vec![Term { effect, places: vec![place] }], start, self.effort())?;
-            if self.excess_on(&bound.fit.stack, axis) > (1.0 - PLAIN_LOOP_AT_LEAST) * gap {
+            let of_loop = |effect: EffectRef, _: &Gain| effect.info().name == LOOP;
+            let Some((effect, gain)) = self.likeliest_at(place, gains, of_loop).pop() else {
+                continue;
+            };
+            let bound = self.fit_model(
+                vec![Term { effect, places: vec![place] }],
+                gain.start,
+                self.effort(),
+            )?;
+            if self.left_on(&bound.fit.stack, 1 << axis) > (1.0 - PLAIN_LOOP_AT_LEAST) * gap {
                 continue;
             }
-            self.ranges.any_loop = true;
-            let free = self.let_go(&bound, f64::INFINITY, f64::INFINITY);
-            self.ranges.any_loop = false;
-            let free = free?;
-            if self.excess_on(&free.fit.stack, axis) < MOST_OF_AN_AXIS * gap {
+            let free = self.let_go_whatever_it_leaves(&bound)?;
+            if self.left_on(&free.fit.stack, 1 << axis) < MOST_OF_AN_AXIS * gap {
                 freed.push(free);
             }
         }
         if freed.is_empty() { Ok(None) } else { self.beside_laws(freed) }
+    }
+
+    /// `bound` with its loop let go, in a search that has none otherwise.
+    fn let_go_whatever_it_leaves(&mut self, bound: &Model) -> Result<Model, Error> {
+        self.ranges.any_loop = true;
+        let free = self.let_go(bound, f64::INFINITY, f64::INFINITY);
+        self.ranges.any_loop = false;
+        free
     }
 
     /// The model of a search gone on from loops that were let go, if there is one among its effects, friction is not, and what they leave is the
@@ -106,8 +111,9 @@ impl Search<'_> {
             let stack = self.scene.residuals_at(&rig, Wanted::ALL, self.include)?;
             let axes = two.terms[t].axes().into_iter();
             let takes_back = |axis: &usize| {
-                let gap = self.excess_on(&self.base, *axis);
-                let missing = self.excess_on(&stack, *axis) - self.excess_on(&two.fit.stack, *axis);
+                let gap = self.left_on(&self.base, 1 << axis);
+                let missing =
+                    self.left_on(&stack, 1 << axis) - self.left_on(&two.fit.stack, 1 << axis);
                 gap > COUNTS * self.gap && missing > FIGHTS * gap
             };
             fight &= axes.filter(takes_back).fold(0, |mask, axis| mask | 1 << axis);
@@ -115,10 +121,7 @@ impl Search<'_> {
         if fight == 0 {
             return Ok(None);
         }
-        self.ranges.any_loop = true;
-        let free = self.let_go(&alone, f64::INFINITY, f64::INFINITY);
-        self.ranges.any_loop = false;
-        let free = free?;
+        let free = self.let_go_whatever_it_leaves(&alone)?;
         let most = MOST_OF_AN_AXIS * self.left_on(&self.base, fight);
         if self.left_on(&free.fit.stack, fight) < most {
             self.beside_laws(vec![free])

@@ -281,7 +281,7 @@ impl<'a> Search<'a> {
         if let Some(best) = gains.iter().max_by(|a, b| a.gain.total_cmp(&b.gain))
             && effect.info().threshold
         {
-            for axis in (0..self.nominal.axes.len()).filter(|a| self.loud >> a & 1 == 1) {
+            for axis in self.loud_axes() {
                 if matches!(best.place, Place::Axis(_)) && !places.contains(&Place::Axis(axis)) {
                     places.push(Place::Axis(axis));
                     start.extend_from_slice(&best.start);

@@ -10,7 +10,7 @@ use crate::search::widen::PROMISE;
 use crate::session::scene::Wanted;
 
 /// A plainer model may leave this much more than the best one, of what that leaves, or of what it saves.
-const AS_LITTLE: f64 = 0.1;
+pub(super) const AS_LITTLE: f64 = 0.1;
 
 /// What a model that is behind leaves at most, as a multiple of what the one before it does.
 const NEAR: f64 = 4.0;

@@ -77,7 +77,7 @@ impl Search<'_> {
     }
 
     /// Share of the gap of an axis that a model leaves.
-    fn share_left(&self, model: &Model, axis: usize) -> f64 {
+    pub(super) fn share_left(&self, model: &Model, axis: usize) -> f64 {
         let noise = self.scene.noise_on(&self.base, 1 << axis);
         let gap = self.scene.cost_on(&self.base, 1 << axis) - noise;
         (self.scene.cost_on(&model.fit.stack, 1 << axis) - noise) / gap.max(1.0)
