@@ -101,3 +101,19 @@ fn springs_beside_preloads_are_not_called_crosstalk() {
     let named = [("stiffness-coupling", &[2, 3][..]), ("preload-loss", &[1, 2, 3])];
     assert_explained(&diagnosis, &named);
 }
+
+#[test]
+fn a_lag_of_all_gauges_is_told_beside_a_loop_of_another_rate() {
+    // An offset of axis 2 makes up for the lag that the loop takes in there, and no two of the three were tried on that axis.
+    let diagnosis = drawn(33333, 114, &["sensor-bandwidth", "hysteresis-rate"]);
+    let named = [("hysteresis-rate", &[2][..]), ("sensor-bandwidth", &[1, 2, 3])];
+    assert_explained(&diagnosis, &named);
+}
+
+#[test]
+fn the_same_gain_of_two_gauges_is_no_trim_of_creep() {
+    // Creep that is fitted again without the gain of axis 1 leaves two and a half times as much, and a loop of any law does as well as that.
+    let diagnosis = drawn(33333, 25, &["creep", "sensor-gain"]);
+    let named = [("sensor-gain", &[1, 2][..]), ("creep", &[1, 2, 3])];
+    assert_explained(&diagnosis, &named);
+}

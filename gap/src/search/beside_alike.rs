@@ -3,7 +3,8 @@
 //! Stages are built alike, and what creeps or lags on two axes does so on the third. Where that one has a plain error of its own as well, the
 //! common effect by itself accounts for little of it and is not gone on from: one that bends to both does better. So where an effect alone
 //! accounts for every other axis, it is fitted to that one too, from where it stands there, beside each of the plain effects that the rest
-//! asks for. What this comes to is for [`crate::search::compose`] to take up.
+//! asks for. And where the best model has different effects on different axes, what it has elsewhere is fitted beside its own effects of each
+//! axis that it leaves open. What this comes to is for [`crate::search::compose`] to take up.
 
 use host_sim::effects::Place;
 
@@ -11,6 +12,8 @@ use crate::Error;
 use crate::fitting::fit::{Effort, Sensitivities, rig_with};
 use crate::fitting::knobs::{EffectRef, is_plain, knobs_at};
 use crate::fitting::model::{Model, Term, knobs_from};
+use crate::judge::accept;
+use crate::search::prune::WORTH_OF_PLACE;
 use crate::search::screen::Gain;
 use crate::search::select::Search;
 use crate::search::worth::WORTH_ABSOLUTE;
@@ -74,6 +77,53 @@ impl Search<'_> {
             }
         }
         Ok(())
+    }
+
+    /// On each axis that the best model with different effects on different axes leaves open, of those of `size` effects, fit what it has elsewhere
+    /// beside its own effects there. Whether anything was gained: what leaves less is for [`crate::search::compose`] to take up.
+    pub(crate) fn beside_own(&mut self, size: usize) -> Result<bool, Error> {
+        let is_on_axes = |place: &Place| matches!(place, Place::Axis(_));
+        let differs = |m: &&Model| {
+            m.terms.len() == size
+                && m.terms.iter().all(|term| term.places.iter().all(is_on_axes))
+                && m.terms.iter().any(|term| term.axes() != m.terms[0].axes())
+        };
+        let model = match self.tried.iter().find(differs) {
+            Some(model) if self.nominal.output_map.is_none() => model.clone(),
+            _ => return Ok(false),
+        };
+        if accept::is_clean(self.scene, &model.fit.stack) {
+            return Ok(false);
+        }
+        let mut has_gained = false;
+        for axis in self.loud_axes().collect::<Vec<_>>() {
+            let place = Place::Axis(axis);
+            let own = model.part(|_, here| here.places[0] == place);
+            let left = self.left_on(&model.fit.stack, 1 << axis);
+            let is_open = self.share_left(&model, axis) > OPEN && left > WORTH_OF_PLACE;
+            if own.is_empty() || !is_open {
+                continue;
+            }
+            for (t, other) in model.terms.iter().enumerate() {
+                if other.places.contains(&place) {
+                    continue;
+                }
+                let by_share = |&a: &usize, &b: &usize| {
+                    let share = |p: usize| self.share_left(&model, other.places[p].on());
+                    share(a).total_cmp(&share(b))
+                };
+                let Some(best) = (0..other.places.len()).min_by(by_share) else { continue };
+                let mut terms = own.clone();
+                terms.push((other.at(place), model.values(t, best).to_vec()));
+                let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = terms.into_iter().unzip();
+                let beside = self.fit_model(terms, start.concat(), self.effort())?;
+                if self.left_on(&beside.fit.stack, 1 << axis) < left - WORTH_OF_PLACE {
+                    has_gained = true;
+                    self.remember(beside);
+                }
+            }
+        }
+        Ok(has_gained)
     }
 
     /// Effects that account for each of `others` alone and for less of `axis`, those that leave least first, with their values on the one

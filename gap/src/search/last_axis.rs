@@ -17,8 +17,10 @@ use crate::session::scene::Wanted;
 
 /// Other axes that have to show it at least: of a single one nobody knows.
 const LEAST_SEEN: usize = 2;
-/// Largest ratio of sizes that are alike.
+/// Largest ratio of sizes that are alike,
 const ALIKE: f64 = 1.6;
+/// ... and of sizes that are the same: what trims something else on one of two axes seldom comes that near to the other.
+const SAME: f64 = 1.05;
 /// Multiple of its typical value from which the zero of a size is that of a threshold.
 const FAR: f64 = 5.0;
 /// Share of its typical value below which a further size of an effect is next to nothing.
@@ -44,13 +46,13 @@ impl Search<'_> {
     fn also_on(&self, model: &Model, t: usize, axis: usize) -> Result<Option<Model>, Error> {
         let term = &model.terms[t];
         let mut sets = sets_of(model, t);
-        let Some(mean) = mean_of_alike(term.effect, &sets) else { return Ok(None) };
+        let Some(mean) = mean_of_alike(term.effect, &sets, ALIKE) else { return Ok(None) };
         let there = Term { effect: term.effect, places: vec![Place::Axis(axis)] };
         let knobs = knobs_from(&[there], &mean, &model.ranges);
         let effort = Effort { iterations: ITERATIONS[0], ..self.effort() };
         let with = fit(self.scene, &model.fit.rig, knobs, mean, effort, None, self.include)?;
         sets.push(with.values.clone());
-        if mean_of_alike(term.effect, &sets).is_none() {
+        if mean_of_alike(term.effect, &sets, ALIKE).is_none() {
             return Ok(None);
         }
         let mut terms = start_terms(model);
@@ -60,7 +62,7 @@ impl Search<'_> {
         let iterations = if self.is_spent() { 0 } else { ITERATIONS[1] };
         let effort = Effort { iterations, ..self.effort() };
         let other = self.fit_model(terms, start.concat(), effort)?;
-        Ok(mean_of_alike(term.effect, &sets_of(&other, t)).is_some().then_some(other))
+        Ok(mean_of_alike(term.effect, &sets_of(&other, t), ALIKE).is_some().then_some(other))
     }
 
     /// Cost of all recordings: those that are fitted may hardly show what others do.
@@ -95,7 +97,7 @@ pub(crate) fn is_as_elsewhere(
         return false;
     };
     let others = axes.iter().filter(|&&axis| Place::Axis(axis) != place && speaks(axis));
-    others.count() >= LEAST_SEEN && mean_of_alike(term.effect, &sets_of(model, t)).is_some()
+    others.count() >= LEAST_SEEN && mean_of_alike(term.effect, &sets_of(model, t), ALIKE).is_some()
 }
 
 /// Values of a term, one set a place.
@@ -103,9 +105,21 @@ fn sets_of(model: &Model, t: usize) -> Vec<Vec<f64>> {
     (0..model.terms[t].places.len()).map(|place| model.values(t, place).to_vec()).collect()
 }
 
-/// Mean of sets of values of an effect whose sizes, from where it has none, are alike in all of them, but those after the first that are next to
+/// Whether a term has the same sizes at a place as at another one.
+pub(crate) fn is_same_elsewhere(model: &Model, t: usize, place: Place) -> bool {
+    let term = &model.terms[t];
+    let sets = sets_of(model, t);
+    let Some(here) = term.places.iter().position(|known| *known == place) else { return false };
+    let is_same = |p: usize| {
+        let two = [sets[here].clone(), sets[p].clone()];
+        p != here && mean_of_alike(term.effect, &two, SAME).is_some()
+    };
+    (0..sets.len()).any(is_same)
+}
+
+/// Mean of sets of values of an effect whose sizes, from where it has none, are within a ratio of `most` in all of them, but those after the first that are next to
 /// nothing in each. What is stepped by ratios has a geometric mean.
-fn mean_of_alike(effect: EffectRef, sets: &[Vec<f64>]) -> Option<Vec<f64>> {
+fn mean_of_alike(effect: EffectRef, sets: &[Vec<f64>], most: f64) -> Option<Vec<f64>> {
     let parameters = effect.info().parameters;
     let first = parameters.iter().position(|p| p.role == Role::Size);
     let mean = |(k, parameter): (usize, &Parameter)| {
@@ -119,7 +133,7 @@ fn mean_of_alike(effect: EffectRef, sets: &[Vec<f64>]) -> Option<Vec<f64>> {
         let is_little = first != Some(k)
             && low.abs().max(high.abs()) < LITTLE * (parameter.typical - zero).abs();
         let is_alike =
-            low == high || is_little || (low * high > 0.0 && (high / low).max(low / high) < ALIKE);
+            low == high || is_little || (low * high > 0.0 && (high / low).max(low / high) < most);
         let count = sets.len() as f64;
         let mean = if parameter.log && values().all(|value| value > 0.0) {
             (values().map(f64::ln).sum::<f64>() / count).exp()
@@ -144,7 +158,7 @@ mod tests {
             };
             effect.info().parameters.iter().map(value).collect()
         };
-        mean_of_alike(effect, &sets.iter().map(set).collect::<Vec<_>>())
+        mean_of_alike(effect, &sets.iter().map(set).collect::<Vec<_>>(), ALIKE)
     }
 
     #[test]
@@ -153,6 +167,13 @@ mod tests {
         assert!(mean("sensor-gain", &[&[("ratio", 1.006)], &[("ratio", 1.008)]]).is_some());
         assert!(mean("sensor-gain", &[&[("ratio", 1.006)], &[("ratio", 0.994)]]).is_none());
         assert!(mean("sensor-gain", &[&[("ratio", 1.006)], &[("ratio", 1.02)]]).is_none());
+    }
+
+    #[test]
+    fn sizes_within_five_per_cent_are_the_same() {
+        let gain = *catalogue().iter().find(|e| e.info().name == "sensor-gain").expect("in it");
+        let two = |a: f64, b: f64| mean_of_alike(gain, &[vec![a], vec![b]], SAME).is_some();
+        assert!(two(1.0200, 1.0209) && !two(1.0200, 1.0212) && !two(1.02, 0.98));
     }
 
     #[test]

@@ -8,7 +8,7 @@ use crate::fitting::fit::Effort;
 use crate::fitting::knobs::axes_seen;
 use crate::fitting::model::{Model, Term, start_terms};
 use crate::judge::accept::{self, has_many_laws};
-use crate::search::last_axis::is_as_elsewhere;
+use crate::search::last_axis::{is_as_elsewhere, is_same_elsewhere};
 use crate::search::select::Search;
 use crate::search::worth::{WORTH_ABSOLUTE, WORTH_OF_GAP};
 use crate::session::scene::{Wanted, dot};
@@ -108,7 +108,8 @@ impl Search<'_> {
                     && !best.terms[t].name().ends_with(HUM)
                     && best.terms[t].places.len() > 1
                     && self.has_form_of_another(&best, t, axes)
-                    && !is_as_elsewhere(&best, t, place, |_| true);
+                    && !is_as_elsewhere(&best, t, place, |_| true)
+                    && !is_same_elsewhere(&best, t, place);
                 if !is_asked {
                     continue;
                 }

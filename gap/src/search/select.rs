@@ -179,6 +179,9 @@ impl<'a> Search<'a> {
         for size in 1..=MOST_EFFECTS {
             if size > 1 {
                 self.compose(size)?;
+                if self.beside_own(size)? {
+                    self.compose(size)?;
+                }
             }
             let candidate = match &best {
                 None => self.best_of(size).filter(|single| {
