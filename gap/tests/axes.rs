@@ -117,3 +117,35 @@ fn the_same_gain_of_two_gauges_is_no_trim_of_creep() {
     let named = [("sensor-gain", &[1, 2][..]), ("creep", &[1, 2, 3])];
     assert_explained(&diagnosis, &named);
 }
+
+#[test]
+fn an_offset_of_all_gauges_is_named_beside_a_preload_that_hides_it() {
+    // The preload of axis 2 makes up for the whole offset there; with the one that the others have the recordings agree as well.
+    let diagnosis = drawn(33333, 46, &["preload-loss", "sensor-offset"]);
+    let named = [("sensor-offset", &[1, 2, 3][..]), ("preload-loss", &[2])];
+    assert_explained(&diagnosis, &named);
+}
+
+#[test]
+fn a_limit_tells_nothing_of_an_axis_that_never_comes_to_it() {
+    // Axis 1 agrees as well with the limit of the other two, as with any.
+    let diagnosis = drawn(34343, 75, &["piezo-gain", "amplifier-current-limit"]);
+    let named = [("amplifier-current-limit", &[2, 3][..]), ("piezo-gain", &[1, 2, 3])];
+    assert_explained(&diagnosis, &named);
+}
+
+#[test]
+fn what_a_limit_leaves_on_edges_is_no_spring() {
+    // With the capacitance of the way before an edge the limit was off by a quarter of a tick, which a spring of 200 N/m seemed to mend.
+    let diagnosis = drawn(34343, 12, &["stiffness-coupling", "amplifier-current-limit"]);
+    let named = [("stiffness-coupling", &[1, 2][..]), ("amplifier-current-limit", &[3])];
+    assert_explained(&diagnosis, &named);
+}
+
+#[test]
+fn a_gain_of_all_stacks_is_told_beside_a_mass_that_swings_on_one() {
+    // A loop makes up for the gain on the axis of the mass, and is not needed beside the gain that the others have.
+    let diagnosis = drawn(34343, 36, &["second-mass", "piezo-gain"]);
+    let named = [("second-mass", &[2][..]), ("piezo-gain", &[1, 2, 3])];
+    assert_explained(&diagnosis, &named);
+}

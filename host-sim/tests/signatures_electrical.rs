@@ -238,3 +238,18 @@ fn sensor_effects_act_on_the_reading() {
         assert!(off_m.abs() < 1e-13, "after {start_s} s and one more: {off_m} m");
     }
 }
+
+#[test]
+fn a_limited_amplifier_meets_a_stack_whose_elements_hold_after_a_turn() {
+    // What was last drawn went the other way than the next edge, or either way by rounding.
+    let squares = |t: f64| if (t * 16.0).floor() % 2.0 < 1.0 { 1.0 } else { 101.0 };
+    let held = |t: f64| squares(((t + 1.0e-9) * 1.0e4).floor() / 1.0e4);
+    let limit = [("current_a", 0.127), ("stack_share", 1.0)];
+    let rig = single("amplifier-current-limit", &limit);
+    let mut parts: Vec<Vec<f64>> =
+        [1.0, 20.0].map(|parts| run(&rig, 1.0e4 * parts, 0.5, held).position_m.remove(0)).to_vec();
+    parts[1] = parts[1].iter().step_by(20).copied().collect();
+    let unlimited = run(&one_axis(), 1.0e4, 0.5, held).position_m.remove(0);
+    let (off, effect) = (rms(&parts[0], &parts[1]), rms(&unlimited, &parts[1]));
+    assert!(effect > 1.0e-7 && off < 0.005 * effect, "{off:e} m of {effect:e} m");
+}

@@ -3,7 +3,7 @@
 //! Amplifiers, preloads and platforms of a stage are built alike. What a current limit does to an axis that seldom asks for so much is no gap, and a
 //! swinging part may ring on one axis in a single recording that is not among those that are fitted. So where all other axes have an effect alike,
 //! and the recordings agree better with one of about the same size on the last axis than with none, by what a place has to be worth, it is
-//! there as well. The other way round a place where an effect has another size than elsewhere may be none.
+//! there as well ([`crate::search::hidden`]: or as well, where other effects there hide it). The other way round a place where an effect has another size than elsewhere may be none.
 
 use host_sim::effects::{Parameter, Place, Role};
 
@@ -18,7 +18,7 @@ use crate::session::scene::Wanted;
 /// Other axes that have to show it at least: of a single one nobody knows.
 const LEAST_SEEN: usize = 2;
 /// Largest ratio of sizes that are alike,
-const ALIKE: f64 = 1.6;
+pub(super) const ALIKE: f64 = 1.6;
 /// ... and of sizes that are the same: what trims something else on one of two axes seldom comes that near to the other.
 const SAME: f64 = 1.05;
 /// Multiple of its typical value from which the zero of a size is that of a threshold.
@@ -33,11 +33,15 @@ impl Search<'_> {
     pub(crate) fn also_on_last_axis(&self, model: Model) -> Result<Model, Error> {
         let mut best = model;
         for t in 0..best.terms.len() {
-            let Some(axis) = self.only_other_axis(&best.terms[t]) else { continue };
-            let Some(other) = self.also_on(&best, t, axis)? else { continue };
-            if self.left_everywhere(&other)? < self.left_everywhere(&best)? - WORTH_OF_PLACE {
-                best = other;
-            }
+            // One that is hidden may take the place of another.
+            let Some(term) = best.terms.get(t) else { break };
+            let Some(axis) = self.only_other_axis(term) else { continue };
+            let most = self.left_everywhere(&best)? - WORTH_OF_PLACE;
+            let shown = match self.also_on(&best, t, axis)? {
+                Some(other) if self.left_everywhere(&other)? < most => Some(other),
+                _ => self.hidden_on(&best, t, axis)?,
+            };
+            best = shown.unwrap_or(best);
         }
         Ok(best)
     }
@@ -66,7 +70,7 @@ impl Search<'_> {
     }
 
     /// Cost of all recordings: those that are fitted may hardly show what others do.
-    fn left_everywhere(&self, model: &Model) -> Result<f64, Error> {
+    pub(super) fn left_everywhere(&self, model: &Model) -> Result<f64, Error> {
         Ok(cost(&self.scene.residuals_at(&model.fit.rig, Wanted::ALL, |_| true)?))
     }
 
@@ -101,7 +105,7 @@ pub(crate) fn is_as_elsewhere(
 }
 
 /// Values of a term, one set a place.
-fn sets_of(model: &Model, t: usize) -> Vec<Vec<f64>> {
+pub(super) fn sets_of(model: &Model, t: usize) -> Vec<Vec<f64>> {
     (0..model.terms[t].places.len()).map(|place| model.values(t, place).to_vec()).collect()
 }
 
@@ -119,7 +123,7 @@ pub(crate) fn is_same_elsewhere(model: &Model, t: usize, place: Place) -> bool {
 
 /// Mean of sets of values of an effect whose sizes, from where it has none, are within a ratio of `most` in all of them, but those after the first that are next to
 /// nothing in each. What is stepped by ratios has a geometric mean.
-fn mean_of_alike(effect: EffectRef, sets: &[Vec<f64>], most: f64) -> Option<Vec<f64>> {
+pub(super) fn mean_of_alike(effect: EffectRef, sets: &[Vec<f64>], most: f64) -> Option<Vec<f64>> {
     let parameters = effect.info().parameters;
     let first = parameters.iter().position(|p| p.role == Role::Size);
     let mean = |(k, parameter): (usize, &Parameter)| {

@@ -9,7 +9,7 @@
 //! | what is not worth fitting to the end, and what is worth an effect more | `few`, `worth` |
 //! | other effects in the place of those chosen, fewer, none where they do nothing | `swap`, `trade`, `fewer`, `prune` |
 //! | loops of any law | `loops`, `laws` |
-//! | what all axes have alike | `beside_alike`, `last_axis` |
+//! | what all axes have alike | `beside_alike`, `last_axis`, `hidden` |
 //! | the whole of it, checked on recordings held out | `found` |
 
 mod alike;
@@ -21,6 +21,7 @@ mod few;
 mod fewer;
 pub(crate) mod found;
 mod further_mode;
+mod hidden;
 mod joint;
 pub(crate) mod last_axis;
 mod laws;

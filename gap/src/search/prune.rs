@@ -93,6 +93,24 @@ impl Search<'_> {
         }
     }
 
+    /// `model` without places that have come to nothing once all were fitted to the end: they made up for what others had not come to yet.
+    pub(crate) fn without_idle(&self, model: Model) -> Result<Model, Error> {
+        let worth = self.worth(&model)?;
+        let is_idle = |t: usize, p: usize| worth[t][p].cost < WORTH_OF_PLACE;
+        let is_kept = |term: &Term, here: &Term| {
+            let nth = model.terms.iter().position(|known| known.name() == term.name());
+            let place = term.places.iter().position(|known| *known == here.places[0]);
+            nth.zip(place).is_none_or(|(t, p)| !is_idle(t, p))
+        };
+        let kept = model.part(is_kept);
+        let places = |terms: &[Term]| terms.iter().map(|term| term.places.len()).sum::<usize>();
+        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = kept.into_iter().unzip();
+        if terms.is_empty() || places(&terms) == places(&model.terms) {
+            return Ok(model);
+        }
+        self.fit_model(terms, start.concat(), Effort { iterations: 3, ..self.effort() })
+    }
+
     /// `model` without the places of effects on several axes that only trim the form of an effect of many laws: with that one fitted again they
     /// leave less than three times as much of their axis. What ties axes together brings its form to others.
     fn without_trims(&self, model: Model) -> Result<Model, Error> {

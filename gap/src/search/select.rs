@@ -226,7 +226,8 @@ impl<'a> Search<'a> {
                     start_terms(&pruned).into_iter().unzip();
                 let iterations = if self.is_spent() { 3 } else { 6 };
                 let effort = Effort { iterations, tolerance: 3.0e-3, ..self.effort() };
-                Ok(Some(self.fit_model(terms, start.concat(), effort)?))
+                let fitted = self.fit_model(terms, start.concat(), effort)?;
+                Ok(Some(self.without_idle(fitted)?))
             }
             None => Ok(None),
         }

@@ -19,7 +19,7 @@ static INFO: Info = Info {
             "1",
             (0.0, 1.0),
             0.0,
-            "0: load of the stack's small-signal capacitance; 1: of the capacitance it shows while slipping",
+            "0: load of the stack's small-signal capacitance; 1: of the capacitance it shows on the way that it goes: less after a turn, more once its elements slip",
         ),
         Parameter::shape("sink_ratio", "1", (0.1, 10.0), 1.0, "current sunk over current sourced").by_ratio(),
         Parameter::shape("knee", "1", (0.0, 1.0), 0.0, "how early the current falls behind: 0 a corner, 1 from the start"),

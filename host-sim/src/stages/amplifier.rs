@@ -199,7 +199,11 @@ impl AmplifierSim {
         let [early_target, late_target] =
             [early_target, late_target].map(|v| passed(&mut self.input, v, time_s));
         // Steepest fall and rise, V/s.
-        let limits = self.slew.as_ref().map(|slew| slew.limits_v_per_s(load.capacitance_f()));
+        let limits = self.slew.as_ref().map(|slew| {
+            let [down, up] =
+                [false, true].map(|rising| slew.limits_v_per_s(load.capacitance_f(rising)));
+            (down.0, up.1)
+        });
         if self.segments[0].length_s > 0.0 {
             self.segment(early_target, 0, limits);
         }

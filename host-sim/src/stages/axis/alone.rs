@@ -62,15 +62,15 @@ pub(super) fn ticks(
 pub struct Load {
     /// Inverse capacitance of the stack when all elements slip, 1/F.
     pub free_elastance: f64,
-    /// Slope of the hysteresis voltage, V/C.
-    pub tangent_v_per_c: f64,
+    /// Slopes of the hysteresis voltage on the way down and up, V/C.
+    pub tangents_v_per_c: [f64; 2],
 }
 
 impl Load {
-    /// Large-signal capacitance, F.
+    /// Large-signal capacitance on the way up or down, F. After a turn all elements hold: the stack takes less.
     #[inline]
-    pub fn capacitance_f(self) -> f64 {
-        1.0 / (self.free_elastance + self.tangent_v_per_c)
+    pub fn capacitance_f(self, rising: bool) -> f64 {
+        1.0 / (self.free_elastance + self.tangents_v_per_c[usize::from(rising)])
     }
 }
 
@@ -162,7 +162,7 @@ impl Parts<'_> {
         for tick in 0..ticks {
             let load = Load {
                 free_elastance: self.free_elastance,
-                tangent_v_per_c: elements.tangent_v_per_c(),
+                tangents_v_per_c: [false, true].map(|rising| elements.tangent_towards(rising)),
             };
             let input_v = output(self.amplifier, before_v, load);
             let tangent = elements.tangent_towards(input_v >= before_v);

@@ -441,8 +441,7 @@ impl AxisSim {
         if !self.forces.is_empty() {
             return 0.0;
         }
-        let load = self.load();
-        let per_charge_branch = 1.0 + load.tangent_v_per_c / load.free_elastance;
+        let per_charge_branch = 1.0 + self.elements.tangent_v_per_c() / self.free_elastance;
         self.mechanism.compliance_m_per_n() * self.transformer / per_charge_branch
     }
 
@@ -450,7 +449,7 @@ impl AxisSim {
     pub fn load(&self) -> Load {
         Load {
             free_elastance: self.free_elastance,
-            tangent_v_per_c: self.elements.tangent_v_per_c(),
+            tangents_v_per_c: [false, true].map(|rising| self.elements.tangent_towards(rising)),
         }
     }
 
