@@ -105,7 +105,10 @@ impl Search<'_> {
                 continue;
             }
             for (t, other) in model.terms.iter().enumerate() {
-                if other.places.contains(&place) {
+                // One heavy effect on one axis is of that axis.
+                let is_common = is_plain(other.effect)
+                    || (other.places.len() >= LEAST_SEEN && !self.is_spent());
+                if other.places.contains(&place) || !is_common {
                     continue;
                 }
                 let by_share = |&a: &usize, &b: &usize| {
@@ -116,7 +119,9 @@ impl Search<'_> {
                 let mut terms = own.clone();
                 terms.push((other.at(place), model.values(t, best).to_vec()));
                 let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = terms.into_iter().unzip();
-                let beside = self.fit_model(terms, start.concat(), self.effort())?;
+                let iterations = if self.is_spent() { 3 } else { self.effort().iterations };
+                let effort = Effort { iterations, ..self.effort() };
+                let beside = self.fit_model(terms, start.concat(), effort)?;
                 if self.left_on(&beside.fit.stack, 1 << axis) < left - WORTH_OF_PLACE {
                     has_gained = true;
                     self.remember(beside);
