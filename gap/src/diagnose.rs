@@ -169,6 +169,7 @@ fn answer(
     let mut staircase = Vec::new();
     if let Some(f) = &found {
         notes.extend(quiet_notes(f, gaps));
+        notes.extend(hidden_notes(f));
         let (mut list, claims, stairs) = causes_of(rig, scene, f, raw_before, &honest_after)?;
         let mut order: Vec<usize> = (0..list.len()).collect();
         order.sort_by(|&a, &b| list[b].closes.total_cmp(&list[a].closes));
@@ -288,6 +289,22 @@ fn quiet_notes(found: &Found, gaps: &[AxisGapSize]) -> Vec<String> {
         )
     };
     quiet.map(note).collect()
+}
+
+/// What a reader should know about causes that others hide on an axis.
+fn hidden_notes(found: &Found) -> Vec<String> {
+    let is_named = |(name, axis): &&(&str, usize)| {
+        let mut terms = found.model.terms.iter();
+        terms.any(|term| term.name() == *name && term.axes().contains(axis))
+    };
+    let note = |(name, axis): &(&str, usize)| {
+        format!(
+            "Axis {}: {name} is named there because other axes have it alike. These recordings agree as well without it on this axis, where what else is \
+             named takes it in.",
+            axis + 1
+        )
+    };
+    found.hidden.iter().filter(is_named).map(note).collect()
 }
 
 /// What a reader of the report should know about the recordings themselves.

@@ -124,6 +124,8 @@ fn an_offset_of_all_gauges_is_named_beside_a_preload_that_hides_it() {
     let diagnosis = drawn(33333, 46, &["preload-loss", "sensor-offset"]);
     let named = [("sensor-offset", &[1, 2, 3][..]), ("preload-loss", &[2])];
     assert_explained(&diagnosis, &named);
+    let is_told = |note: &String| note.contains("Axis 2: sensor-offset is named there");
+    assert!(diagnosis.notes.iter().any(is_told), "{:?}", diagnosis.notes);
 }
 
 #[test]

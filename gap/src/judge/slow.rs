@@ -82,6 +82,7 @@ pub(crate) fn cross_axis(
             tried: Vec::new(),
             missed: Vec::new(),
             band: Some(band),
+            hidden: Vec::new(),
         }));
     }
     Ok(None)

@@ -16,6 +16,7 @@ use crate::fitting::model::{Model, Term, join_terms, knobs_from, knobs_of, start
 use crate::judge::accept::{self, AxisGapSize};
 use crate::judge::ambiguity::{self, Standings};
 use crate::judge::monitors::{self, Missing};
+use crate::search::hidden::Hidden;
 use crate::search::last_axis::is_as_elsewhere;
 use crate::search::select::{Breadth, Search};
 use crate::search::wander::{drifts_freely, wanders};
@@ -39,6 +40,8 @@ pub(crate) struct Found {
     pub missed: Vec<usize>,
     /// The causes account for slow motion only.
     pub band: Option<Band>,
+    /// Effects that others hide on an axis (from 0), and that are named there because all other axes have them alike.
+    pub hidden: Hidden,
 }
 
 impl Found {
@@ -71,7 +74,7 @@ pub(crate) fn search(
     bar.set_message("fitting");
     let whole = search.run()?;
     let Some(model) = by_axis(&mut search, whole, effects, gaps)? else { return Ok(None) };
-    let model = search.also_on_last_axis(stands_elsewhere(&search, model)?)?;
+    let (model, hidden) = search.also_on_last_axis(stands_elsewhere(&search, model)?)?;
     let gap = search.gap.max(1.0);
     // The same effects on other axes, or from another start, are one entry: the best comes first.
     let mut tried: Vec<(String, f64)> = Vec::new();
@@ -86,7 +89,7 @@ pub(crate) fn search(
     let missed = missed(scene, rig, &model)?;
     let whole = refit(scene, rig, &model)?;
     let apart = apart(&search, &model)?;
-    Ok(Some(Found { model, whole, apart, standings, tried, missed, band: None }))
+    Ok(Some(Found { model, whole, apart, standings, tried, missed, band: None, hidden }))
 }
 
 /// What the effects of a model are worth by themselves and beside the others.

@@ -20,6 +20,9 @@ const AS_WELL: f64 = 0.05;
 /// Iterations of a fit of its own effects beside the one that they hide, and of both of them.
 const ITERATIONS: [usize; 2] = [12, 3];
 
+/// Effects that others hide, and the axis (from 0) of each.
+pub(crate) type Hidden = Vec<(&'static str, usize)>;
+
 /// Terms with their values.
 type Terms = Vec<(Term, Vec<f64>)>;
 

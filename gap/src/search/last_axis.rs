@@ -11,6 +11,7 @@ use crate::Error;
 use crate::fitting::fit::{Effort, cost, fit};
 use crate::fitting::knobs::EffectRef;
 use crate::fitting::model::{Model, Term, knobs_from, start_terms};
+use crate::search::hidden::Hidden;
 use crate::search::prune::WORTH_OF_PLACE;
 use crate::search::select::Search;
 use crate::session::scene::Wanted;
@@ -29,21 +30,28 @@ const LITTLE: f64 = 0.3;
 const ITERATIONS: [usize; 2] = [6, 3];
 
 impl Search<'_> {
-    /// `model`, with effects that all axes but one have alike on that one as well, if the recordings agree better with it.
-    pub(crate) fn also_on_last_axis(&self, model: Model) -> Result<Model, Error> {
+    /// `model`, with effects that all axes but one have alike on that one as well, if the recordings agree better with it, or as well where others hide
+    /// it; beside it those that are hidden and the axis (from 0) where they are.
+    pub(crate) fn also_on_last_axis(&self, model: Model) -> Result<(Model, Hidden), Error> {
         let mut best = model;
+        let mut hidden = Hidden::new();
         for t in 0..best.terms.len() {
             // One that is hidden may take the place of another.
             let Some(term) = best.terms.get(t) else { break };
             let Some(axis) = self.only_other_axis(term) else { continue };
+            let name = term.name();
             let most = self.left_everywhere(&best)? - WORTH_OF_PLACE;
-            let shown = match self.also_on(&best, t, axis)? {
-                Some(other) if self.left_everywhere(&other)? < most => Some(other),
-                _ => self.hidden_on(&best, t, axis)?,
-            };
-            best = shown.unwrap_or(best);
+            match self.also_on(&best, t, axis)? {
+                Some(other) if self.left_everywhere(&other)? < most => best = other,
+                _ => {
+                    if let Some(other) = self.hidden_on(&best, t, axis)? {
+                        hidden.push((name, axis));
+                        best = other;
+                    }
+                }
+            }
         }
-        Ok(best)
+        Ok((best, hidden))
     }
 
     /// `model` with term `t` on an axis more, fitted, if it comes to about the same size there as elsewhere.

@@ -21,7 +21,7 @@ mod few;
 mod fewer;
 pub(crate) mod found;
 mod further_mode;
-mod hidden;
+pub(crate) mod hidden;
 mod joint;
 pub(crate) mod last_axis;
 mod laws;
