@@ -122,7 +122,9 @@ pub(crate) fn causes_of(
         }
         let raw = scene.file_by_file(&partial)?.raw(&partial, held)?;
         let nm = Energies::new(scene, raw_before, &raw, &held).gap(axes).after_nm;
-        let words: Vec<String> = model.terms[t].places.iter().map(|&p| place_words(p)).collect();
+        let mut words: Vec<String> =
+            model.terms[t].places.iter().map(|&p| place_words(p)).collect();
+        words.sort_unstable();
         let place =
             if words.len() > 3 { format!("{} places", words.len()) } else { words.join(", ") };
         // On two lines: side by side the names of several causes run into each other.
