@@ -173,11 +173,8 @@ fn answer(
         let (mut list, claims, stairs) = causes_of(rig, scene, f, raw_before, &honest_after)?;
         let mut order: Vec<usize> = (0..list.len()).collect();
         order.sort_by(|&a, &b| list[b].closes.total_cmp(&list[a].closes));
-        let total: f64 = list.iter().map(|c| c.closes).sum();
-        if total > gap.closed.max(0.0) && total > 0.0 {
-            for cause in &mut list {
-                cause.closes *= gap.closed.max(0.0) / total;
-            }
+        for cause in &mut list {
+            cause.closes *= gap.closed.clamp(0.0, 1.0);
         }
         causes = order.iter().map(|&k| list[k].clone()).collect();
         claimed = order.iter().map(|&k| claims[k].clone()).collect();

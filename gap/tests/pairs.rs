@@ -125,3 +125,18 @@ fn an_axis_has_a_cause_of_its_own_where_that_takes_fewer_numbers() {
     let named = [("stiffness-hardening", &[1, 2][..]), ("sensor-gain", &[3])];
     assert_explained(&diagnosis, &named);
 }
+
+#[test]
+fn of_two_that_work_against_each_other_the_larger_one_leads() {
+    // Alone the stack's gain makes 104 nm and the spring 81 nm, of opposite signs: taking either out leaves more than the gap.
+    let diagnosis = drawn(35353, 52, &["piezo-gain", "stiffness-hardening"]);
+    assert_explained(&diagnosis, &[("piezo-gain", &[3][..]), ("stiffness-hardening", &[3])]);
+    let [gain, spring] = &diagnosis.causes[..] else { unreachable!("two causes") };
+    let ratio = (104.0_f64 / 81.0).powi(2);
+    assert!(
+        (gain.closes / spring.closes / ratio - 1.0).abs() < 0.1,
+        "{ratio} {:?}",
+        (gain.closes, spring.closes)
+    );
+    assert!((gain.closes + spring.closes - diagnosis.gap.closed).abs() < 1e-9);
+}

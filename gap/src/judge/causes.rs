@@ -6,8 +6,8 @@ use crate::Error;
 use crate::diagnosis::{Cause, CauseKind, Parameter};
 use crate::fitting::knobs::knobs_at;
 use crate::judge::ambiguity::place_words;
-use crate::search::found::{Apart, Found};
-use crate::session::energy::Energies;
+use crate::search::found::Found;
+use crate::session::energy::{Energies, moved_on};
 use crate::session::scene::{Channel, Scene, Stack};
 
 /// Causes, the energy that each claims on each axis (nm^2 times samples), and the gap (nm, held out) after each is added.
@@ -15,6 +15,10 @@ pub(crate) type CauseList = (Vec<Cause>, Vec<Vec<f64>>, Vec<(String, f64)>);
 
 /// Causes with the energy that each closes, by axis, and the gap after each is added in turn, with every recording taken by
 /// itself.
+///
+/// What a cause closes is its share of what all causes of the answer move, each by itself: two that work against each other (a stack
+/// that gives more, a spring that stiffens) each move more than the gap, and what taking one out of them leaves, or adding one closes,
+/// says which was asked first and not which is larger.
 pub(crate) fn causes_of(
     rig: &Rig,
     scene: &Scene,
@@ -26,34 +30,27 @@ pub(crate) fn causes_of(
     let everything = |_: &Channel| true;
     let model = &found.model;
     let whole = &found.whole;
-    let before = Energies::new(scene, raw_before, raw_after, &everything);
-    let full = before.excess();
+    let closed = Energies::new(scene, raw_before, raw_after, &everything).closed_on(axes);
+    let mut moved = Vec::new();
+    for t in 0..model.terms.len() {
+        let alone = scene.raw(&model.with(rig, |other| other == t)?, everything)?;
+        moved.push(moved_on(scene, raw_before, &alone, axes));
+    }
+    let all: f64 = moved.iter().flatten().sum();
+    let all_on: Vec<f64> =
+        (0..axes).map(|axis| moved.iter().map(|of_cause| of_cause[axis]).sum()).collect();
+    let claim = |axis: usize, energy: f64| {
+        if all_on[axis] > 0.0 { closed[axis] * energy / all_on[axis] } else { 0.0 }
+    };
+    let claimed = moved
+        .iter()
+        .map(|on| on.iter().enumerate().map(|(axis, &energy)| claim(axis, energy)).collect())
+        .collect();
     let mut causes = Vec::new();
-    let mut claimed = Vec::new();
     let inflate = 4.0 + whole.fit.cost / scene.noise_on(&whole.fit.stack, u32::MAX).max(1.0) * 8.0;
     let deviations = whole.fit.deviations(inflate);
     let mut at = 0;
     for (t, term) in model.terms.iter().enumerate() {
-        let reduced = model.without(rig, t, |_| true)?;
-        let raw = scene.raw(&reduced, everything)?;
-        let energies = Energies::new(scene, &raw, raw_after, &everything);
-        let per_axis = energies.gap(axes).per_axis;
-        let without = energies.excess().0;
-        let closed = if without > full.0 {
-            closed_between(scene, &found.apart[t], raw_after, full)?
-        } else {
-            without - full.1
-        };
-        claimed.push(
-            (0..axes)
-                .map(|axis| {
-                    per_axis.iter().find(|g| g.axis == axis + 1).map_or(0.0, |g| {
-                        let samples = samples_of_axis(scene, axis);
-                        (g.before_nm.powi(2) - g.after_nm.powi(2)) * samples
-                    })
-                })
-                .collect(),
-        );
         let info = term.effect.info();
         let width = info.parameters.len();
         let mut parameters = std::collections::BTreeMap::new();
@@ -100,7 +97,7 @@ pub(crate) fn causes_of(
             },
             stage: info.stage.name().into(),
             axes: term.axes().iter().map(|a| a + 1).collect(),
-            closes: if full.0 > 0.0 { (closed / full.0).clamp(0.0, 1.0) } else { 0.0 },
+            closes: if all > 0.0 { moved[t].iter().sum::<f64>() / all } else { 0.0 },
             parameters,
             confidence: found.standings.causes[t].confidence,
             indistinguishable_from: found.standings.causes[t].rivals.clone(),
@@ -131,35 +128,6 @@ pub(crate) fn causes_of(
         stairs.push((format!("{}\n({place})", model.terms[t].name()), nm));
     }
     Ok((causes, claimed, stairs))
-}
-
-/// Energy that an effect closes where the others without it are worse than no model at all: they trim each other, and taking one out
-/// would credit it with what the other did. The mean of what it closes as the first cause and as the last one, the others fitted
-/// accordingly, which is all orders of two (Shapley 1953). `full`: energy of the gap, and what the whole model leaves of it.
-fn closed_between(
-    scene: &Scene,
-    apart: &Apart,
-    raw_after: &Stack,
-    full: (f64, f64),
-) -> Result<f64, Error> {
-    let (gap, rest) = full;
-    let everything = |_: &Channel| true;
-    let left = |rig: &Rig| -> Result<f64, Error> {
-        let raw = scene.raw(rig, everything)?;
-        let energy = Energies::new(scene, &raw, raw_after, &everything).excess().0;
-        Ok(energy.clamp(rest, gap.max(rest)))
-    };
-    let (first, last) = (gap - left(&apart.alone)?, left(&apart.without)? - rest);
-    Ok(0.5 * (first + last))
-}
-
-fn samples_of_axis(scene: &Scene, axis: usize) -> f64 {
-    scene
-        .channels
-        .iter()
-        .filter(|c| c.axis == axis && c.kind == crate::session::floor::Kind::Position)
-        .map(|c| c.range.len() as f64)
-        .sum()
 }
 
 fn parameter(value: f64, sd: f64, unit: &str) -> Parameter {

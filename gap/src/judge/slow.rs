@@ -15,7 +15,7 @@ use crate::fitting::guess::Ranges;
 use crate::fitting::knobs::EffectRef;
 use crate::fitting::model::Term;
 use crate::judge::{accept, ambiguity, monitors};
-use crate::search::found::{Found, apart, refit};
+use crate::search::found::{Found, refit};
 use crate::search::screen::Gain;
 use crate::search::select::Search;
 use crate::session::energy::Energies;
@@ -73,11 +73,9 @@ pub(crate) fn cross_axis(
         }
         let standings = ambiguity::standings(&search, &model);
         let whole = refit(&slow, rig, &model)?;
-        let apart = apart(&search, &model)?;
         return Ok(Some(Found {
             model,
             whole,
-            apart,
             standings,
             tried: Vec::new(),
             missed: Vec::new(),

@@ -30,8 +30,6 @@ pub(crate) struct Found {
     pub model: Model,
     /// Fitted on everything.
     pub whole: Model,
-    /// What each effect of `model` is worth.
-    pub apart: Vec<Apart>,
     /// How each cause stands against others.
     pub standings: Standings,
     /// Names of what else was tried, and the share of the gap that it explains.
@@ -88,37 +86,7 @@ pub(crate) fn search(
     bar.set_message("checking on the recordings held out");
     let missed = missed(scene, rig, &model)?;
     let whole = refit(scene, rig, &model)?;
-    let apart = apart(&search, &model)?;
-    Ok(Some(Found { model, whole, apart, standings, tried, missed, band: None, hidden }))
-}
-
-/// What the effects of a model are worth by themselves and beside the others.
-#[derive(Clone)]
-pub(crate) struct Apart {
-    /// The rig of the best model with this effect alone.
-    pub alone: Rig,
-    /// The rig of the best model without it.
-    pub without: Rig,
-}
-
-/// Each effect of a model by itself, and the model without it, fitted like that where the search did so. Simply taking it out would not
-/// tell what it is worth: one that only trims another would be credited with what the two do together.
-pub(crate) fn apart(search: &Search, model: &Model) -> Result<Vec<Apart>, Error> {
-    let best = |keep: &dyn Fn(usize) -> bool| -> Result<Rig, Error> {
-        let names = model.terms.iter().enumerate().filter(|(t, _)| keep(*t));
-        let mut key: Vec<&str> = names.map(|(_, term)| term.name()).collect();
-        key.sort_unstable();
-        // They are kept with the best first.
-        match search.tried.iter().find(|known| known.key() == key) {
-            Some(known) => Ok(known.fit.rig.clone()),
-            None => model.with(search.nominal, keep),
-        }
-    };
-    (0..model.terms.len())
-        .map(|t| {
-            Ok(Apart { alone: best(&|other| other == t)?, without: best(&|other| other != t)? })
-        })
-        .collect()
+    Ok(Some(Found { model, whole, standings, tried, missed, band: None, hidden }))
 }
 
 /// Take out effects that make the held-out recordings worse: they only mended the form of another one where it was fitted.
@@ -432,7 +400,6 @@ pub(crate) fn keep(
         model.terms = terms;
     }
     keep_marked(&mut found.standings.causes, &kept);
-    keep_marked(&mut found.apart, &kept);
     Ok(())
 }
 

@@ -120,11 +120,32 @@ impl Energies {
         }
     }
 
+    /// Energy that is gone afterwards, by axis, nm^2 times samples.
+    pub fn closed_on(&self, axes: usize) -> Vec<f64> {
+        let mut closed = vec![0.0; axes];
+        for block in &self.blocks {
+            closed[block.axis] += block.before - block.after;
+        }
+        closed.iter().map(|energy| energy.max(0.0)).collect()
+    }
+
     /// Energy beyond the floor before and after, nm^2 times samples.
     pub fn excess(&self) -> (f64, f64) {
         let sum = Self::sums(self.blocks.iter());
         (sum.before - sum.floor, sum.after - sum.floor)
     }
+}
+
+/// Energy of what the positions differ by between two simulations, by axis, nm^2 times samples. Both as [`Scene::raw`] gives them.
+pub(crate) fn moved_on(scene: &Scene, from: &Stack, to: &Stack, axes: usize) -> Vec<f64> {
+    let mut moved = vec![0.0; axes];
+    for (channel, rows) in scene.channels.iter().zip(from.iter().zip(to)) {
+        let (Kind::Position, (Some(from), Some(to))) = (channel.kind, rows) else { continue };
+        let nm = (channel.sigma * 1.0e3).powi(2);
+        let squares = from.iter().zip(to).map(|(&a, &b)| f64::from(b - a).powi(2));
+        moved[channel.axis] += nm * squares.sum::<f64>();
+    }
+    moved
 }
 
 /// `1 - (after^2 - floor^2) / (before^2 - floor^2)`; zero where there was no gap to close.
