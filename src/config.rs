@@ -107,6 +107,8 @@ impl core::hash::Hasher for Digest {
     fn finish(&self) -> u64 {
         u64::from(self.0)
     }
+    // Once, and not for each of the hundred numbers: 4 KiB of flash.
+    #[inline(never)]
     fn write(&mut self, bytes: &[u8]) {
         for byte in bytes {
             self.0 = (self.0 ^ u32::from(*byte)).wrapping_mul(0x0100_0193);
@@ -124,6 +126,15 @@ impl core::hash::Hasher for Digest {
 fn ticks(seconds: f32) -> u32 {
     (seconds * TICK_HZ as f32 + 0.5) as u32
 }
+
+/// For how many ticks something may last whose limit is set: one at least, or a short time would switch the watch off.
+fn patience(seconds: f32) -> u32 {
+    ticks(seconds).max(1)
+}
+
+/// Longest time that a return from either drive limit may take, s. The tasks' silence is noticed after 0.25 s and the watchdog bites 1 s
+/// after it began (`board::tasks`), its clock being 5 % fast at worst: a drive that is still up then would be stepped to 0 V.
+const LONGEST_RETURN_S: f32 = 0.6;
 
 /// Share a tick of something that takes `seconds`, in 2^-32.
 fn share(seconds: f32) -> u32 {
@@ -169,6 +180,15 @@ impl Config {
                 low.to_f32(),
                 high.to_f32(),
                 "V (the axis' drive limits)",
+            )?;
+            let safe = settings.guard.safe_v;
+            let farthest = (high.to_f32() - safe).max(safe - low.to_f32());
+            check.range(
+                "return_v_per_ms",
+                settings.guard.return_v_per_ms,
+                farthest / (1.0e3 * LONGEST_RETURN_S),
+                100.0,
+                "V/ms (back within 0.6 s)",
             )?;
         }
         config.digest = digest_of(&config);
@@ -238,15 +258,15 @@ fn build_axis(
         feedforward: build_feedforward(axis, settings, cross)?,
         feedback: build_feedback(axis, &settings.feedback)?,
         watch: Watch {
-            last_code: settings.gauge.full_code as i32 - 1,
-            gauge_ticks: ticks(gauge_fault_s),
+            last_code: last_code(settings.gauge.full_code),
+            gauge_ticks: if gauge_fault_s == 0.0 { 0 } else { patience(gauge_fault_s) },
             max_step: Um::from_f32(or_off(max_step)),
             stuck_drive: Volt::from_f32(or_off(stuck)),
             travel: [Um::from_f32(min_um - margin), Um::from_f32(max_um + margin)],
             following: Um::from_f32(or_off(following)),
-            following_ticks: ticks(following_s),
+            following_ticks: patience(following_s),
             monitor: Volt::from_f32(or_off(monitor)),
-            monitor_ticks: ticks(monitor_s),
+            monitor_ticks: patience(monitor_s),
         },
         travel: [Um::from_f32(min_um), Um::from_f32(max_um)],
         drive: [Volt::from_f32(min_v), Volt::from_f32(max_v)],
@@ -255,6 +275,13 @@ fn build_axis(
         monitor: build_converter(Check::axis("monitor", axis), &settings.monitor, 22)?,
         dac: build_dac(Check::axis("dac", axis), &settings.dac)?,
     })
+}
+
+/// The highest code that a gauge in order gives, of a converter that ends at `full`: amplifiers and buffers stop some way before the
+/// supplies, and the converter's noise takes single readings of a gauge at its end below the last code. A 64th is 52 mV of 3.3 V; the front
+/// end's own margin is 150 mV.
+fn last_code(full: u32) -> i32 {
+    full.saturating_sub((full / 64).max(1)) as i32
 }
 
 fn build_feedforward(

@@ -233,6 +233,11 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
         record
     }
 
+    /// Sample instants went by without a tick: the next record is of so many later.
+    pub fn skip(&mut self, ticks: u32) {
+        self.tick = self.tick.wrapping_add(ticks);
+    }
+
     /// As [`Controller::tick`]; all of `record` is written.
     #[inline(always)]
     pub fn tick_into<'t>(

@@ -109,7 +109,7 @@ const JUMP_MEMORY: u32 = 1_000;
 /// Thresholds of one axis, in the tick's terms. A count of 0 ticks switches a watch off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Watch {
-    /// The highest code that is in range; the lowest is 1.
+    /// The highest code that a gauge in order gives; the lowest is a 64th of it.
     pub(crate) last_code: i32,
     pub(crate) gauge_ticks: u32,
     pub(crate) max_step: Um,
@@ -231,7 +231,11 @@ impl WatchState {
         faults = faults
             .with(Faults::DISCONNECTED.when(broken))
             .with(Faults::STUCK.when(wrong.stuck))
-            .with(Faults::TRAVEL.when(lasts(&mut self.outside, wrong.outside, watch.gauge_ticks)))
+            .with(Faults::TRAVEL.when(lasts(
+                &mut self.outside,
+                wrong.outside,
+                watch.gauge_ticks.max(1),
+            )))
             .with(Faults::FOLLOWING_ERROR.when(lasts(
                 &mut self.following,
                 wrong.lost,
@@ -263,13 +267,13 @@ struct Margins {
 impl Margins {
     #[inline(always)]
     fn of(state: &WatchState, watch: &Watch, seen: Seen) -> Self {
-        let [low, high] = watch.travel;
+        let ([low, high], last) = (watch.travel, watch.last_code);
         // A code that is new speaks for itself.
         let moved =
             if seen.code == state.code { seen.drive - state.code_drive } else { Volt::ZERO };
         Self {
             // Of the codes that wrap, one side or the other is negative all the same.
-            railed: seen.code.wrapping_sub(1) | watch.last_code.wrapping_sub(seen.code),
+            railed: seen.code.wrapping_sub(last >> 6) | last.wrapping_sub(seen.code),
             jump: margin(seen.position - state.position, watch.max_step),
             stuck: margin(moved, watch.stuck_drive),
             outside: (seen.position - low).to_bits() | (high - seen.position).to_bits(),

@@ -207,11 +207,12 @@ settings! {
         min_um: f32 = -2.0,
         /// Highest reference, um.
         max_um: f32 = 18.0,
-        /// Measured positions this far beyond the travel are a fault, um; 0 = not watched.
-        travel_margin_um: f32 = 3.0,
+        /// Measured positions this far beyond the travel for `guard.gauge_fault_s` are a fault, um; 0 = not watched. The default gauge is at
+        /// its end 0.65 um beyond the travel.
+        travel_margin_um: f32 = 0.4,
         /// Largest lasting distance between reference and position, um; 0 = not watched.
         following_error_um: f32 = 2.0,
-        /// How long it may last, s.
+        /// How long it may last, s; one tick at least.
         following_error_s: f32 = 0.05,
     }
 }
@@ -223,7 +224,7 @@ settings! {
         at_zero: f32 = -3.0,
         /// Value at `full_code`.
         at_full: f32 = 18.994_63,
-        /// Highest code that the converter gives: readings of 0 and of this code are out of range.
+        /// Highest code that the converter gives. A gauge is at its end within a 64th of either end of the codes.
         full_code: u32 = 65_520,
     }
 }
@@ -273,7 +274,7 @@ settings! {
     GuardSettings {
         /// Voltage of the parked drives, V.
         safe_v: f32 = 0.0,
-        /// How fast a drive returns there, V/ms.
+        /// How fast a drive returns there, V/ms: from either drive limit within 0.6 s.
         return_v_per_ms: f32 = 0.5,
         /// Duration of arming, s.
         arming_s: f32 = 0.5,
@@ -281,7 +282,8 @@ settings! {
         transition_s: f32 = 0.1,
         /// Longest time without a command while armed, s; 0 = for ever.
         command_timeout_s: f32 = 0.0,
-        /// Time for which a gauge may read the end of its range or jump, s; 0 = not watched.
+        /// Time for which a gauge may read the end of its range or jump, s; 0 = not watched. Positions beyond the travel may last as long, one
+        /// tick at least.
         gauge_fault_s: f32 = 0.005,
         /// Largest change of a gauge in one tick, um; 0 = not watched.
         max_step_um: f32 = 3.0,
@@ -289,7 +291,7 @@ settings! {
         stuck_drive_v: f32 = 20.0,
         /// Largest lasting difference between monitor and drive, V; 0 = not watched.
         monitor_error_v: f32 = 0.0,
-        /// How long it may last, s.
+        /// How long it may last, s; one tick at least.
         monitor_error_s: f32 = 0.05,
     }
 }

@@ -116,6 +116,12 @@ fn migrate(format: u16, payload: &[u8]) -> Option<Settings> {
     }
 }
 
+/// Settings that the board can run on.
+#[inline(never)]
+fn usable(format: u16, payload: &[u8]) -> Option<Settings> {
+    migrate(format, payload).filter(|settings| crate::Config::build(settings).is_ok())
+}
+
 /// Which of two save numbers is the newer one, across the wrap.
 fn is_newer(a: u32, b: u32) -> bool {
     (a.wrapping_sub(b) as i32) > 0
@@ -132,15 +138,11 @@ pub fn load<M: Memory>(memory: &M) -> Result<Option<Stored>, MemoryError> {
         match inspect(memory, slot) {
             Slot::Empty => {}
             Slot::Damaged => is_damaged = true,
-            Slot::Whole { number, format, payload } => {
-                let usable = migrate(format, payload)
-                    .filter(|settings| crate::Config::build(settings).is_ok());
-                match usable {
-                    Some(_) if best.as_ref().is_some_and(|b| !is_newer(number, b.number)) => {}
-                    Some(settings) => best = Some(Stored { settings, number, slot }),
-                    None => is_damaged = true,
-                }
-            }
+            Slot::Whole { number, format, payload } => match usable(format, payload) {
+                Some(_) if best.as_ref().is_some_and(|b| !is_newer(number, b.number)) => {}
+                Some(settings) => best = Some(Stored { settings, number, slot }),
+                None => is_damaged = true,
+            },
         }
     }
     if best.is_none() && is_damaged { Err(MemoryError) } else { Ok(best) }
@@ -188,7 +190,7 @@ pub async fn save<M: Memory>(
 /// Number and slot of the next save: never the slot that [`load`] would take.
 fn next<M: Memory>(memory: &M) -> (u32, u8) {
     let usable = |slot| match inspect(memory, slot) {
-        Slot::Whole { number, format, payload } => migrate(format, payload).map(|_| number),
+        Slot::Whole { number, format, payload } => usable(format, payload).map(|_| number),
         Slot::Empty | Slot::Damaged => None,
     };
     match (usable(0), usable(1)) {
@@ -369,6 +371,19 @@ mod tests {
         let sum = checksum(99, number, &payload);
         flash.slots[0][12..16].copy_from_slice(&sum.to_le_bytes());
         assert_eq!(load(&Cutting(flash, Cut::Before)), Err(MemoryError));
+    }
+
+    #[test]
+    fn a_save_leaves_the_only_slot_alone_that_can_be_used() {
+        let mut flash = Flash::blank();
+        save_now(&mut flash, 1.0, Cut::Before).unwrap();
+        // The newest is whole and of this format, but no board can run on it: of a firmware that allowed more, say.
+        save_now(&mut flash, -1.0, Cut::Before).unwrap();
+        assert_eq!(gain(&flash), Some(1.0));
+        flash.fuse = Some(flash.operations + 1);
+        assert!(save_now(&mut flash, 2.0, Cut::Half).is_err());
+        flash.power_on_again();
+        assert_eq!(gain(&flash), Some(1.0));
     }
 
     #[test]

@@ -126,6 +126,73 @@ fn a_lasting_error_of_the_motion_is_a_fault_and_a_short_one_is_not() {
     assert_eq!(bench.controller.faults(), Faults::FOLLOWING_ERROR);
 }
 
+/// Ticks with the gauges at `code` until a fault, `most` of them at most.
+fn reading(bench: &mut Bench, code: i32, most: usize) -> Faults {
+    for nth in 0..most {
+        // The converter's noise.
+        let gauge = [code + [0, 3, -2][nth % 3]; 3];
+        let monitor =
+            std::array::from_fn(|axis| bench.config.monitor_code(axis, bench.drive_v[axis]));
+        let sample = Sample { gauge, monitor, overrun: false };
+        bench.controller.tick(&bench.config, &Table::EMPTY, &sample);
+    }
+    bench.controller.faults()
+}
+
+#[test]
+fn a_gauge_at_its_end_need_not_reach_the_last_code() {
+    // Buffers stop some 20 mV before the supplies: 397 codes.
+    for code in [397, 65_520 - 397, 4, 65_516] {
+        let mut bench = armed(0.0);
+        assert!(reading(&mut bench, code, 200).contains(Faults::RAILED), "{code}");
+    }
+}
+
+#[test]
+fn the_default_travel_is_watched_within_what_the_default_gauge_reads() {
+    for um in [-2.5, 18.5] {
+        let mut settings = Settings::default();
+        for axis in &mut settings.axes {
+            axis.limits.following_error_um = 0.0;
+        }
+        let mut bench = Bench::new(&settings, 7.52);
+        bench.arm();
+        let code = bench.config.gauge_code(0, um);
+        let found = reading(&mut bench, code, 200);
+        assert!(found.contains(Faults::TRAVEL), "{um} um: {found:?}");
+        assert!(!found.contains(Faults::RAILED), "{um} um: {found:?}");
+    }
+}
+
+#[test]
+fn no_time_is_no_patience_and_does_not_switch_a_watch_off() {
+    let mut settings = Settings::default();
+    for axis in &mut settings.axes {
+        *axis = AxisSettings::open_loop(7.52);
+        axis.limits.following_error_um = 1.0;
+        axis.limits.following_error_s = 0.0;
+    }
+    let mut bench = Bench::new(&settings, 7.52);
+    bench.arm();
+    glitch(&mut bench, 2.0);
+    assert_eq!(bench.controller.faults(), Faults::FOLLOWING_ERROR);
+}
+
+#[test]
+fn a_return_that_the_watchdog_would_cut_short_is_refused() {
+    let mut settings = Settings::default();
+    settings.guard.return_v_per_ms = 0.2;
+    let error = flexstage::Config::build(&settings).unwrap_err();
+    assert_eq!((error.group, error.field), ("guard", "return_v_per_ms"));
+    // 150 V within 0.6 s.
+    assert!((error.min - 0.25).abs() < 1e-6, "{error}");
+    settings.guard.return_v_per_ms = 0.25;
+    flexstage::Config::build(&settings).unwrap();
+    settings.guard.safe_v = 75.0;
+    settings.guard.return_v_per_ms = 0.15;
+    flexstage::Config::build(&settings).unwrap();
+}
+
 /// Ticks, at 0.1 um a tick, until the gauges are `um` off.
 fn push_to(bench: &mut Bench, um: f64) {
     while (bench.disturbance_um - um).abs() > 0.05 {

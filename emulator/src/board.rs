@@ -23,10 +23,13 @@ use crate::time::{TICK, Time};
 /// What a 16-bit (oversampled) reading of an input at VDDA is: 64 x 4095 / 4.
 pub const TOP_CODE: i32 = 65_520;
 
+/// How far from the supplies the buffer before a converter stops: 20 mV of 3.3 V (OPA320 class), in codes.
+const BUFFER_END: i32 = 397;
+
 /// Something broken between the gauge and its converter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum GaugeFault {
-    /// The conditioner's output is at its upper rail (broken bridge).
+    /// The conditioner's output is at its upper rail (broken bridge), beyond what its buffer gives.
     Open,
     /// At its lower rail (short circuit).
     Short,
@@ -182,12 +185,13 @@ impl Board {
         let sensed: [f64; AXES] =
             std::array::from_fn(|k| samples.get(k).map_or(0.0, |s| s.sensed_m));
         self.noise = !self.noise;
+        let jitter = if self.noise { 4 } else { -4 };
         self.gauge = read.gauge;
         self.monitor = read.monitor;
         for k in 0..AXES {
             match self.gauge_fault[k] {
-                Some(GaugeFault::Open) => self.gauge[k] = TOP_CODE,
-                Some(GaugeFault::Short) => self.gauge[k] = 0,
+                Some(GaugeFault::Open) => self.gauge[k] = TOP_CODE - BUFFER_END + jitter,
+                Some(GaugeFault::Short) => self.gauge[k] = BUFFER_END + jitter,
                 Some(GaugeFault::Stuck(code)) => self.gauge[k] = code,
                 Some(GaugeFault::Noisy(size)) => {
                     self.gauge[k] =

@@ -24,7 +24,7 @@ const MAGIC: u32 = 0xc0de_fa11;
 const DFU_MAGIC: u32 = 0xdf0b_007e;
 /// Start of the ROM with the DFU loader (AN2606; RM0440 section 2.6).
 const SYSTEM_MEMORY: u32 = 0x1fff_0000;
-/// Time that a crashed board gives the tick to return the drives; the watchdog allows a little more.
+/// Time that a crashed board gives the tick to return the drives, which take 0.6 s at most (`Config::build`); the watchdog allows more.
 const RETURN_US: u32 = 700_000;
 
 #[repr(C)]
@@ -114,14 +114,20 @@ pub fn take_report() -> Report {
 /// The message of the last run; empty if it ended without one.
 pub fn message() -> String<CRASH_TEXT> {
     let mut out = String::new();
+    let mut text = [0; CRASH_TEXT];
     // SAFETY: any bit pattern is a valid integer; nobody writes while a program that has not crashed runs.
-    let (magic, crc, length, text) = unsafe {
+    let (magic, crc, length) = unsafe {
         let kept = kept();
+        // One by one: the whole array at once is a load and a store for each byte of it, 2.3 KiB of code.
+        let mut from = (&raw const (*kept).text).cast::<u8>();
+        for to in &mut text {
+            *to = from.read_volatile();
+            from = from.add(1);
+        }
         (
             (&raw const (*kept).magic).read_volatile(),
             (&raw const (*kept).crc).read_volatile(),
             (&raw const (*kept).length).read_volatile() as usize,
-            (&raw const (*kept).text).read_volatile(),
         )
     };
     if let Some(bytes) = text.get(..length)
@@ -135,20 +141,21 @@ pub fn message() -> String<CRASH_TEXT> {
     out
 }
 
+#[inline(never)]
 fn keep(message: &str) {
-    let mut text = [0; CRASH_TEXT];
-    let mut length = 0;
-    for (to, from) in text.iter_mut().zip(message.bytes()) {
-        *to = from;
-        length += 1;
-    }
-    let crc = crc32(text.get(..length).unwrap_or_default());
-    // SAFETY: only crash handlers write, and they never return; the magic number is written last.
+    let bytes = message.as_bytes();
+    let bytes = bytes.get(..CRASH_TEXT).unwrap_or(bytes);
+    // SAFETY: only crash handlers write, and they never return; there are no more bytes than the text has room for; the magic number is
+    // written last.
     unsafe {
         let kept = kept();
-        (&raw mut (*kept).text).write_volatile(text);
-        (&raw mut (*kept).length).write_volatile(length as u32);
-        (&raw mut (*kept).crc).write_volatile(crc);
+        let mut to = (&raw mut (*kept).text).cast::<u8>();
+        for byte in bytes {
+            to.write_volatile(*byte);
+            to = to.add(1);
+        }
+        (&raw mut (*kept).length).write_volatile(bytes.len() as u32);
+        (&raw mut (*kept).crc).write_volatile(crc32(bytes));
         (&raw mut (*kept).magic).write_volatile(MAGIC);
     }
 }
@@ -176,12 +183,22 @@ fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
     defmt::error!("{=str}", text.0.as_str());
     // The tick goes on above whatever priority this is, and returns the drives.
     super::timebase::wait_us(RETURN_US, || super::tick::is_parked());
+    restart()
+}
+
+/// Restarts the board. Pins float at 0 V of drive from the reset on, which a parked drive need not be at (`guard.safe_v`), and the loop may
+/// have been closed since the restart was asked for: so the drives go there first.
+pub fn restart() -> ! {
+    cortex_m::interrupt::disable();
+    super::outputs::return_softly_blocking();
     cortex_m::peripheral::SCB::sys_reset()
 }
 
 /// Bus, memory and usage faults, all escalated. Nothing can interrupt this, so the drives are returned here.
 #[cortex_m_rt::exception]
 unsafe fn HardFault(frame: &cortex_m_rt::ExceptionFrame) -> ! {
+    // First of all: what follows may fault again, and then only the watchdog is left.
+    super::outputs::return_softly_blocking();
     // SAFETY: reading fault status registers has no effect.
     let scb = unsafe { &*cortex_m::peripheral::SCB::PTR };
     let (cfsr, hfsr) = (scb.cfsr.read(), scb.hfsr.read());
@@ -194,7 +211,6 @@ unsafe fn HardFault(frame: &cortex_m_rt::ExceptionFrame) -> ! {
         frame.lr(),
     );
     keep(&text.0);
-    super::outputs::return_softly_blocking();
     cortex_m::peripheral::SCB::sys_reset()
 }
 

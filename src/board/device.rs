@@ -7,11 +7,12 @@ use heapless::spsc::{Consumer, Producer};
 
 use super::flash::Bank2;
 use super::tick::{self, Answer};
-use super::{crash, stack, usb};
+use super::{converters, crash, outputs, stack, usb};
 use crate::link::message::{Counters, Crash, HISTOGRAM_BINS, Refusal, Status};
 use crate::link::session::Device;
 use crate::link::{Fields, Identity, Profile};
-use crate::{Command, Config, Settings, store};
+use crate::settings::Check;
+use crate::{Command, Config, Settings, SettingsError, store};
 
 /// Longest time to an answer of the tick, which comes within one period.
 const PATIENCE: Duration = Duration::from_millis(5);
@@ -56,6 +57,31 @@ pub struct Board {
     pub identity: Identity,
     /// How the last run ended.
     pub report: crash::Report,
+}
+
+/// Whether settings are for the converters of this board: a code that its outputs do not have would be another voltage.
+///
+/// # Errors
+/// The first number of codes that is not the converter's.
+pub fn fits(settings: &Settings) -> Result<(), SettingsError> {
+    for (k, axis) in settings.axes.iter().enumerate() {
+        let inputs = f32::from(converters::FULL_CODE);
+        for (group, found, converter) in [
+            ("dac", axis.dac.full_code, f32::from(outputs::FULL_CODE)),
+            ("gauge", axis.gauge.full_code, inputs),
+            ("monitor", axis.monitor.full_code, inputs),
+        ] {
+            let check = Check::axis(group, k);
+            check.range(
+                "full_code",
+                found as f32,
+                converter,
+                converter,
+                "(this board's converter)",
+            )?;
+        }
+    }
+    Ok(())
 }
 
 /// The next tick: what changes now acts there.
@@ -109,6 +135,10 @@ impl Device for Board {
         self.settings
     }
 
+    fn fits(&self, settings: &Settings) -> Result<(), SettingsError> {
+        fits(settings)
+    }
+
     fn configure(&mut self, settings: &Settings, config: Config) -> Result<u32, Refusal> {
         self.settings.clone_from(settings);
         self.is_stored = false;
@@ -141,6 +171,10 @@ impl Device for Board {
     }
 
     async fn control(&mut self, command: Command) -> Result<u32, Refusal> {
+        // A restart waits for its reply to leave, and nothing should begin until then.
+        if REBOOT.load(Ordering::Acquire) != 0 && matches!(command, Command::Arm) {
+            return Err(Refusal::Busy);
+        }
         if self.identity.self_test & !crate::link::identity::self_test::TOLERABLE != 0
             && matches!(command, Command::Arm)
         {

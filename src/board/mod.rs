@@ -166,6 +166,7 @@ fn start() -> Rest {
     outputs::latch_on_trigger();
     converters::run_on_trigger();
     timebase::start();
+    tick::count_from_here();
     priorities::enable_tick();
 
     let identity = Identity {
@@ -213,6 +214,7 @@ fn load_settings(flash: &flash::Bank2) -> (Settings, Config, bool, Faults) {
     };
     if let Some(stored) = stored
         && let Ok(config) = Config::build(&stored.settings)
+        && device::fits(&stored.settings).is_ok()
     {
         defmt::info!("settings of save {=u32}", stored.number);
         return (stored.settings, config, true, faults);

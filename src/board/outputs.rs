@@ -20,6 +20,9 @@ use crate::AXES;
 /// DAC code of 0 V at the amplifier output: (0 + 10) / 160 * 4096.
 pub const PARK_CODE: u16 = 256;
 
+/// The highest code: twelve bits.
+pub const FULL_CODE: u16 = 4_095;
+
 /// TSEL of TIM6_TRGO (RM0440 table 184).
 const TIM6_TRGO: u8 = 7;
 
@@ -67,7 +70,8 @@ pub fn latch_on_trigger() {
     }
 }
 
-/// Writes the codes of all axes into the holding registers.
+/// Writes the codes of all axes into the holding registers. None is beyond [`FULL_CODE`]: the controller saturates at the settings' last code,
+/// and [`fits`](super::device::fits) lets no other one in.
 #[inline(always)]
 pub fn write(codes: [u16; AXES]) {
     let [a, b, c] = codes;
@@ -80,9 +84,11 @@ pub fn read() -> [u16; AXES] {
     [pac::DAC1.dor(0).read().dor(), pac::DAC1.dor(1).read().dor(), pac::DAC2.dor(0).read().dor()]
 }
 
-/// Returns the outputs slowly to [`PARK_CODE`] without the controller, for fault handlers that the tick cannot interrupt. Takes
-/// up to 300 ms; the timer goes on latching.
+/// Returns the outputs slowly to [`PARK_CODE`], where they will float, without the controller: for what the tick cannot interrupt, before a
+/// reset. Takes up to 300 ms, for which the watchdog waits; the timer goes on latching.
 pub fn return_softly_blocking() {
+    // Once, so that it still ends what hangs here.
+    pac::IWDG.kr().write(|w| w.set_key(pac::iwdg::vals::Key::RESET));
     loop {
         let now = read();
         let next = now.map(|code| {

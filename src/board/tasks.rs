@@ -11,8 +11,8 @@ use embassy_time::{Duration, Ticker, Timer};
 use super::{crash, device, tick, usb};
 use crate::{Flags, State};
 
-/// Timeout of the independent watchdog. Longer than the patience of the tick with the tasks (250 ms) and a soft return from 150 V at
-/// 0.5 V/ms (300 ms) together, so that the drives are parked before it bites, if the tick still runs.
+/// Timeout of the independent watchdog. Longer than the patience of the tick with the tasks (250 ms) and the longest return that settings
+/// may ask for (0.6 s, `Config::build`) together, so that the drives are parked before it bites, if the tick still runs.
 const WATCHDOG_US: u32 = 1_000_000;
 /// Time for the last reply to leave before a restart.
 const FAREWELL: Duration = Duration::from_millis(50);
@@ -45,7 +45,7 @@ pub async fn watch(watchdog: Peri<'static, IWDG>) {
                 if kind == 2 {
                     crash::set_dfu();
                 }
-                cortex_m::peripheral::SCB::sys_reset();
+                crash::restart();
             }
         }
     }

@@ -32,6 +32,8 @@ use crate::{AXES, Command, Config, Controller, Faults, Flags, Record, Refusal, S
 const ORDERS: usize = 4;
 /// Ticks for which staging waits at most: less than the tasks wait for an answer.
 const STAGING_PATIENCE: u32 = 30;
+/// Cycles by which a tick may begin earlier than the one before says, after its trigger: converters and interrupt entry are not to the cycle.
+const EARLY_CYCLES: u32 = 500;
 /// Ticks for which a converter may deliver nothing.
 const CONVERTER_PATIENCE: u32 = 5;
 /// Ticks without a sign of life from the tasks until the drives are returned: 250 ms, well before the watchdog bites.
@@ -62,7 +64,8 @@ struct State {
     answers: Producer<'static, Answer>,
     codes: converters::Codes,
     missing_ticks: u32,
-    entered: u32,
+    /// From when the next tick may begin, cycles: by the sample clock, whenever the ticks before ran.
+    due: u32,
     was_late: bool,
     beat: u32,
     silent_ticks: u32,
@@ -93,7 +96,7 @@ static CONFIGS: [Shared<Config>; 2] = [Shared::new(), Shared::new()];
 static TABLE: Shared<Table> = Shared::new();
 /// What the tick tells the tasks, and the one thing that they tell it. Together, so that the tick needs one address for all of it.
 pub struct Shown {
-    /// Ticks since start.
+    /// Number of the next tick.
     pub ticks: AtomicU32,
     /// Status word of the last tick.
     pub flags: AtomicU32,
@@ -149,7 +152,7 @@ pub fn init(config: Config, faults: Faults) -> Ends {
         answers: answers_in,
         codes: converters::Codes { gauge: [0; AXES], monitor: [0; AXES] },
         missing_ticks: 0,
-        entered: timebase::cycles(),
+        due: timebase::cycles(),
         was_late: false,
         beat: 0,
         silent_ticks: 0,
@@ -198,6 +201,14 @@ pub fn stop() {
 /// Code outside the tick has crashed: the tick returns the drives.
 pub fn return_drives() {
     SHOWN.urgent.store(RETURN, Ordering::Release);
+}
+
+/// Triggers are counted from the first tick on: called just before it is enabled.
+pub fn count_from_here() {
+    // SAFETY: `init` has run, and the tick, which alone uses the state, is not enabled yet.
+    let state = unsafe { &mut *STATE.get() };
+    // So late that the first one is too early, and is asked when it was.
+    state.due = timebase::cycles().wrapping_add(2 * TICK_CYCLES);
 }
 
 /// Whether the drives are at their safe voltage.
@@ -355,17 +366,38 @@ impl State {
         self.controller.trip(faults);
     }
 
-    /// Counts triggers that had no tick, from the time since the last one.
+    /// Counts triggers that had no tick: one that takes longer than a period now and then begins late, and two that wait become one. Their
+    /// numbers are skipped and their records lost, so that a recording keeps its time and says where it has none.
     #[inline(always)]
     fn count_missed(&mut self, entered: u32) -> bool {
-        let since = entered.wrapping_sub(self.entered);
-        self.entered = entered;
-        let is_missed =
-            since > TICK_CYCLES + TICK_CYCLES / 2 && SHOWN.ticks.load(Ordering::Relaxed) != 0;
-        if is_missed {
-            bump(&SHOWN.overruns, (since - TICK_CYCLES / 2) / TICK_CYCLES);
+        let late = entered.wrapping_sub(self.due);
+        self.due = self.due.wrapping_add(TICK_CYCLES);
+        // Without a sign: too early is odd as well.
+        late >= TICK_CYCLES && self.skip(late)
+    }
+
+    /// A tick at an odd time, and whether triggers went by without one: seldom.
+    #[cold]
+    #[inline(never)]
+    #[unsafe(link_section = ".ccm.core")]
+    fn skip(&mut self, late: u32) -> bool {
+        let signed = late as i32;
+        if signed >= 0 {
+            let missed = late / TICK_CYCLES;
+            self.controller.skip(missed);
+            self.due = self.due.wrapping_add(missed * TICK_CYCLES);
+            bump(&SHOWN.ticks, missed);
+            bump(&SHOWN.overruns, missed);
+            bump(&SHOWN.lost_records, missed);
+            return true;
         }
-        is_missed
+        let is_first = SHOWN.ticks.load(Ordering::Relaxed) == 0;
+        if is_first || signed > -(TICK_CYCLES as i32 / 2) {
+            // The first one, or one before it had begun late.
+            self.due = self.due.wrapping_add(late).wrapping_sub(EARLY_CYCLES);
+        }
+        // By more than half a period: the tick before began just as this one's trigger came, and counted it as missed. It is skipped already.
+        false
     }
 }
 

@@ -15,7 +15,10 @@ use super::message::{
     self, Command, Counters, Crash, MessageError, Refusal, Reply, SCHEMA_HASH, Status,
 };
 use super::stream::{Fields, Profile, sample_bytes};
-use crate::{AXES, Config, Flags, Generator, GeneratorSettings, Settings, TABLE_POINTS};
+use crate::settings::{AxisSettings, Check};
+use crate::{
+    AXES, Config, Flags, Generator, GeneratorSettings, Settings, SettingsError, TABLE_POINTS,
+};
 
 /// What a board does. Methods that wait for the tick are asynchronous; a device without hardware returns at once.
 #[expect(async_fn_in_trait, reason = "used on one executor only; the futures need not be Send")]
@@ -30,6 +33,11 @@ pub trait Device {
     fn crash(&self) -> Crash;
     /// The settings in effect.
     fn settings(&self) -> &Settings;
+    /// Whether settings are for this device's converters.
+    ///
+    /// # Errors
+    /// The first one that is not.
+    fn fits(&self, settings: &Settings) -> Result<(), SettingsError>;
     /// Puts a checked configuration into effect and keeps the settings it came from; the tick from which it acts.
     fn configure(&mut self, settings: &Settings, config: Config) -> Result<u32, Refusal>;
     /// Writes points of the table, which is out of use until [`Device::use_table`]; the range is checked. Only called while the loop
@@ -306,15 +314,59 @@ fn identify<D: Device>(device: &D, sequence: u16, out: &mut [u8]) -> usize {
 }
 
 fn build(generator: &GeneratorSettings) -> Result<Generator, Refusal> {
-    Generator::build(generator).map_err(|error| Refusal::Settings(error.into()))
+    Generator::build(generator).map_err(bad_setting)
 }
 
 /// Checked whole, then in effect; the tick and what was built.
 #[inline(never)]
 fn configure<D: Device>(device: &mut D, settings: &Settings) -> Result<(u32, u32), Refusal> {
-    let config = Config::build(settings).map_err(|error| Refusal::Settings(error.into()))?;
+    acceptable(device, settings).map_err(bad_setting)?;
+    let config = Config::build(settings).map_err(bad_setting)?;
     let digest = config.digest();
     device.configure(settings, config).map(|tick| (tick, digest))
+}
+
+fn acceptable<D: Device>(device: &D, settings: &Settings) -> Result<(), SettingsError> {
+    device.fits(settings)?;
+    let is_parked = Flags(device.status().flags).is_parked();
+    if is_parked { Ok(()) } else { stays_in_place(device.settings(), settings) }
+}
+
+#[inline(never)]
+fn bad_setting(error: SettingsError) -> Refusal {
+    Refusal::Settings(error.into())
+}
+
+/// Whether drives that are up stay where they are: the line from drive to code is the last thing before the pin, behind the slew limit and
+/// what makes a change of settings bumpless, and limits that close in on a stage would throw it inside.
+#[inline(never)]
+fn stays_in_place(before: &Settings, after: &Settings) -> Result<(), SettingsError> {
+    const VOLTS: &str = "V while not parked: disarm first";
+    // Whether it may be smaller and larger.
+    const FIELDS: [(&str, &str, &str, bool, bool); 7] = [
+        ("dac", "at_zero_v", VOLTS, false, false),
+        ("dac", "at_full_v", VOLTS, false, false),
+        ("dac", "full_code", "while not parked: disarm first", false, false),
+        ("limits", "min_v", VOLTS, true, false),
+        ("limits", "max_v", VOLTS, false, true),
+        ("limits", "min_um", "um while not parked: disarm first", true, false),
+        ("limits", "max_um", "um while not parked: disarm first", false, true),
+    ];
+    let numbers = |axis: &AxisSettings| {
+        let (dac, limits) = (&axis.dac, &axis.limits);
+        let codes = dac.full_code as f32;
+        let (volts, travel) = ([limits.min_v, limits.max_v], [limits.min_um, limits.max_um]);
+        [dac.at_zero_v, dac.at_full_v, codes, volts[0], volts[1], travel[0], travel[1]]
+    };
+    for (k, (before, after)) in before.axes.iter().zip(&after.axes).enumerate() {
+        let pairs = numbers(before).into_iter().zip(numbers(after));
+        for ((group, field, unit, smaller, larger), (old, new)) in FIELDS.into_iter().zip(pairs) {
+            let least = if smaller { f32::MIN } else { old };
+            let most = if larger { f32::MAX } else { old };
+            Check::axis(group, k).range(field, new, least, most, unit)?;
+        }
+    }
+    Ok(())
 }
 
 fn write_table<D: Device>(device: &mut D, offset: usize, points: &[f32]) -> Result<Reply, Refusal> {

@@ -395,6 +395,11 @@ impl Device for Board {
         Ok(self.tick as u32)
     }
 
+    /// The simulated converters are what the settings say.
+    fn fits(&self, _: &Settings) -> std::result::Result<(), flexstage::SettingsError> {
+        Ok(())
+    }
+
     fn configure(
         &mut self,
         settings: &Settings,

@@ -49,11 +49,16 @@ impl Machine {
 
     /// Fault injection: the core spins for ever with interrupts masked, as after a runaway pointer into a wait loop.
     pub fn derail_into_loop(&mut self) -> Result<()> {
+        self.derail_task_into_loop()?;
+        set(&mut self.uc, R::PRIMASK, 1);
+        Ok(())
+    }
+
+    /// Fault injection: a task spins for ever, and no other task runs again. What interrupts it goes on.
+    pub fn derail_task_into_loop(&mut self) -> Result<()> {
         // `b .` in the last half-word of flash bank 1, which no image uses.
         let last = FLASH_BYTES - 2;
         self.flash.set_u16(last, 0xe7fe);
-        self.derail(FLASH + last as u32)?;
-        set(&mut self.uc, R::PRIMASK, 1);
-        Ok(())
+        self.derail(FLASH + last as u32)
     }
 }

@@ -12,6 +12,7 @@ mod hostile;
 mod identity;
 mod probe;
 mod resolution;
+mod restarts;
 mod socket;
 mod stream;
 mod usb;

@@ -63,6 +63,9 @@ impl Device for Board {
     fn settings(&self) -> &Settings {
         &self.settings
     }
+    fn fits(&self, _: &Settings) -> Result<(), crate::SettingsError> {
+        Ok(())
+    }
     fn configure(&mut self, settings: &Settings, config: Config) -> Result<u32, Refusal> {
         self.settings = settings.clone();
         self.config = config;
@@ -139,6 +142,42 @@ fn bad_settings_change_nothing() {
     let Reply::Refused(Refusal::Settings(bad)) = reply else { panic!("{reply:?}") };
     assert_eq!((bad.axis, bad.field.as_str()), (Some(1), "max_v"));
     assert_eq!((board.config.digest(), &board.settings), (digest, &Settings::default()));
+}
+
+#[test]
+fn what_would_move_a_drive_at_once_waits_until_it_is_parked() {
+    let (mut session, mut board) = (Session::new(), Board::new());
+    let changes: [(&str, fn(&mut Settings)); 6] = [
+        ("at_zero_v", |s| s.axes[1].dac.at_zero_v = -9.0),
+        ("at_full_v", |s| s.axes[1].dac.at_full_v = 140.0),
+        ("full_code", |s| s.axes[1].dac.full_code = 4_094),
+        ("max_v", |s| s.axes[1].limits.max_v = 100.0),
+        ("min_um", |s| s.axes[1].limits.min_um = 0.0),
+        ("max_um", |s| s.axes[1].limits.max_um = 5.0),
+    ];
+    assert!(matches!(ask(&mut session, &mut board, &Command::Arm), Reply::Done { .. }));
+    for (field, change) in changes {
+        let mut settings = Settings::default();
+        change(&mut settings);
+        let reply = ask(&mut session, &mut board, &Command::SetSettings(settings));
+        let Reply::Refused(Refusal::Settings(bad)) = reply else { panic!("{field}: {reply:?}") };
+        assert_eq!((bad.axis, bad.field.as_str()), (Some(2), field));
+        assert!(bad.unit.ends_with("while not parked: disarm first"), "{}", bad.unit);
+    }
+    // Wider limits and other gains move nothing.
+    let mut settings = Settings::default();
+    settings.axes[1].limits.max_um = 18.2;
+    settings.axes[1].feedback.proportional_v_per_um = 1.0;
+    let reply = ask(&mut session, &mut board, &Command::SetSettings(settings));
+    assert!(matches!(reply, Reply::Configured { .. }), "{reply:?}");
+    // Parked, all of them are taken.
+    let mut board = Board::new();
+    for (field, change) in changes {
+        let mut settings = Settings::default();
+        change(&mut settings);
+        let reply = ask(&mut session, &mut board, &Command::SetSettings(settings));
+        assert!(matches!(reply, Reply::Configured { .. }), "{field}: {reply:?}");
+    }
 }
 
 #[test]
