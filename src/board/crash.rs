@@ -111,17 +111,23 @@ pub fn take_report() -> Report {
     }
 }
 
-/// The message of the last run; empty if it ended without one.
+/// The message of the last run; empty if it ended without one. Not inlined: it is in flash once.
+#[inline(never)]
 pub fn message() -> String<CRASH_TEXT> {
     let mut out = String::new();
+    let mut text = [0; CRASH_TEXT];
     // SAFETY: any bit pattern is a valid integer; nobody writes while a program that has not crashed runs.
-    let (magic, crc, length, text) = unsafe {
+    let (magic, crc, length) = unsafe {
         let kept = kept();
+        // Byte by byte in a loop: as one volatile array the compiler writes out all 192 of them, 2 KB of flash.
+        let from = (&raw const (*kept).text).cast::<u8>();
+        for (at, to) in text.iter_mut().enumerate() {
+            *to = from.add(at).read_volatile();
+        }
         (
             (&raw const (*kept).magic).read_volatile(),
             (&raw const (*kept).crc).read_volatile(),
             (&raw const (*kept).length).read_volatile() as usize,
-            (&raw const (*kept).text).read_volatile(),
         )
     };
     if let Some(bytes) = text.get(..length)
