@@ -166,4 +166,9 @@ impl Device for Board {
         self.is_stored |= saved.is_ok();
         saved.map_err(|_| Refusal::Flash)
     }
+
+    async fn pause(&mut self) {
+        // Only to the tasks of this executor: the watch gets its time while the tick takes over what was found.
+        embassy_futures::yield_now().await;
+    }
 }
