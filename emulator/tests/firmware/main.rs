@@ -13,5 +13,6 @@ mod identity;
 mod probe;
 mod resolution;
 mod socket;
+mod stalls;
 mod stream;
 mod usb;
