@@ -15,7 +15,8 @@ mod waves;
 
 pub use multisine::{BLOCK_TICKS, Multisines, PART_WORDS, PARTS, Part};
 pub use table::Table;
-use waves::{clip_q30, multisine_amplitude, multisine_signs, staircase_q30, triangle_q30};
+pub(crate) use waves::PeakSearch;
+use waves::{clip_q30, multisine_signs, staircase_q30, triangle_q30};
 
 /// A reference waveform in physical units. Amplitudes are peak values about the centre: a 10 um stroke has amplitude 5 um.
 #[derive(
@@ -203,6 +204,14 @@ impl Generator {
 
     /// Check the settings and turn them into integers.
     pub fn build(settings: &GeneratorSettings) -> Result<Self, SettingsError> {
+        let mut generator = Self::outline(settings)?;
+        let mut search = PeakSearch::NEW;
+        while !generator.scale(&mut search) {}
+        Ok(generator)
+    }
+
+    /// All of [`Generator::build`] that is quick: what is left is [`Generator::scale`].
+    pub(crate) fn outline(settings: &GeneratorSettings) -> Result<Self, SettingsError> {
         let check = Check::new("generator");
         let ticks = |seconds: f32| (seconds * TICK_HZ as f32 + 0.5) as u32;
         let blend = |seconds: f32| {
@@ -294,14 +303,13 @@ impl Generator {
                     TICK_HZ as f32 / 4.0,
                     "Hz at the highest tone",
                 )?;
-                let signs = multisine_signs(m.seed);
                 Ok(Self {
                     shape: Shape::Multisine {
                         first: m.first,
                         stride: m.stride,
                         tones: m.tones,
-                        signs,
-                        amplitude: multisine_amplitude(m.first, m.stride, m.tones, signs, highest),
+                        signs: multisine_signs(m.seed),
+                        amplitude: 0,
                     },
                     center: position("center_um", m.center_um)?,
                     amplitude: amplitude("peak_um", m.peak_um)?,
@@ -343,6 +351,16 @@ impl Generator {
                 })
             }
         }
+    }
+
+    /// A share of finding how large a multisine's tones may be; true once they are, and at once for everything else.
+    pub(crate) fn scale(&mut self, search: &mut PeakSearch) -> bool {
+        let Shape::Multisine { first, stride, tones, signs, amplitude } = &mut self.shape else {
+            return true;
+        };
+        let found = search.go_on(*first, *stride, *tones, *signs);
+        *amplitude = found.unwrap_or_default();
+        found.is_some()
     }
 
     /// Whether it ends in rest by itself.

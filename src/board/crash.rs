@@ -111,7 +111,8 @@ pub fn take_report() -> Report {
     }
 }
 
-/// The message of the last run; empty if it ended without one.
+/// The message of the last run; empty if it ended without one. Not inlined: it is in flash once.
+#[inline(never)]
 pub fn message() -> String<CRASH_TEXT> {
     let mut out = String::new();
     let mut text = [0; CRASH_TEXT];

@@ -7,7 +7,7 @@ use heapless::spsc::{Consumer, Producer};
 
 use super::flash::Bank2;
 use super::tick::{self, Answer};
-use super::{converters, crash, outputs, stack, usb};
+use super::{converters, crash, outputs, pump, stack, usb};
 use crate::link::message::{Counters, Crash, HISTOGRAM_BINS, Refusal, Status};
 use crate::link::session::Device;
 use crate::link::{Fields, Identity, Profile};
@@ -20,21 +20,47 @@ const PATIENCE: Duration = Duration::from_millis(5);
 /// What the watch task should do when the reply is out: 0 nothing, 1 restart, 2 DFU loader.
 pub static REBOOT: AtomicU8 = AtomicU8::new(0);
 
-/// The stream that the host wants: 0 none, else 1 << 31 | profile << 16 | fields.
+/// The stream: in the upper half its number, which every start and every end counts up; in the lower half 0 if none is on, else
+/// [`STREAM_IS_ON`], the profile in bit 8 and the fields below. Only tasks of the USB executor touch it.
 static STREAM: AtomicU32 = AtomicU32::new(0);
+const STREAM_IS_ON: u32 = 1 << 15;
+/// The first tick of the stream that is on.
+pub static STREAM_START: AtomicU32 = AtomicU32::new(0);
 
-/// The stream that is on.
-pub fn stream() -> Option<(Fields, Profile)> {
-    let word = STREAM.load(Ordering::Acquire);
-    if word == 0 {
-        return None;
-    }
-    Profile::from_byte((word >> 16) as u8).map(|profile| (Fields(word as u16), profile))
+/// The stream as one word, which is another one after each start and each end.
+pub fn stream_word() -> u32 {
+    STREAM.load(Ordering::Relaxed)
 }
 
-/// Ends the stream: the host went away.
-pub fn stop_stream() {
-    STREAM.store(0, Ordering::Release);
+/// The number of a stream. It comes again after 65 536 starts and ends, each of which is answered, so that the ring has long been emptied.
+pub const fn stream_number(word: u32) -> u16 {
+    (word >> 16) as u16
+}
+
+/// What is streamed, if the stream is on.
+pub fn selection(word: u32) -> Option<(Fields, Profile)> {
+    if word & STREAM_IS_ON == 0 {
+        return None;
+    }
+    Profile::from_byte((word >> 8) as u8 & 1).map(|profile| (Fields(word as u16 & 0xff), profile))
+}
+
+/// Starts a stream, or ends the one that is on; the first tick of it.
+pub fn set_stream(stream: Option<(Fields, Profile)>) -> u32 {
+    let before = stream_word();
+    let selected = match stream {
+        Some((fields, profile)) => {
+            pump::start_count();
+            STREAM_IS_ON | u32::from(profile as u8) << 8 | u32::from(fields.0)
+        }
+        None => {
+            pump::end_count();
+            0
+        }
+    };
+    STREAM_START.store(next_tick(), Ordering::Relaxed);
+    STREAM.store((before & 0xffff_0000).wrapping_add(1 << 16) | selected, Ordering::Relaxed);
+    next_tick()
 }
 
 /// The board as the session sees it.
@@ -100,7 +126,7 @@ impl Device for Board {
             flags: tick::SHOWN.flags.load(Ordering::Relaxed),
             digest: self.digest,
             is_stored: self.is_stored,
-            stream: stream(),
+            stream: selection(stream_word()),
             uptime_ms: Instant::now().as_millis() as u32,
             has_crash: self.report.has_message,
         }
@@ -118,7 +144,7 @@ impl Device for Board {
             cycles_last: load(&tick::SHOWN.cycles_last),
             cycles_max: load(&tick::SHOWN.cycles_max),
             cycles_histogram,
-            dropped: load(&usb::DROPPED),
+            dropped: pump::dropped(),
             frames: load(&usb::FRAMES),
             usb_resets: load(&usb::RESETS),
             flash_errors: load(&crash::FLASH_ERRORS),
@@ -158,12 +184,7 @@ impl Device for Board {
     }
 
     fn stream(&mut self, stream: Option<(Fields, Profile)>) -> u32 {
-        usb::DROPPED.store(0, Ordering::Relaxed);
-        let word = stream.map_or(0, |(fields, profile)| {
-            1 << 31 | u32::from(profile as u8) << 16 | u32::from(fields.0)
-        });
-        STREAM.store(word, Ordering::Release);
-        next_tick()
+        set_stream(stream)
     }
 
     fn reboot(&mut self, dfu: bool) {
@@ -199,5 +220,10 @@ impl Device for Board {
         let saved = store::save(&mut self.flash, self.settings, self.scratch.as_mut_slice()).await;
         self.is_stored |= saved.is_ok();
         saved.map_err(|_| Refusal::Flash)
+    }
+
+    async fn pause(&mut self) {
+        // Only to the tasks of this executor: the watch gets its time while the tick takes over what was found.
+        embassy_futures::yield_now().await;
     }
 }

@@ -30,6 +30,8 @@ pub mod device;
 pub mod flash;
 pub mod outputs;
 pub mod priorities;
+pub mod pump;
+pub mod reader;
 pub mod records;
 pub mod stack;
 pub mod tasks;

@@ -8,7 +8,7 @@ use embassy_stm32::peripherals::{IWDG, PC6, PC7};
 use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_time::{Duration, Ticker, Timer};
 
-use super::{crash, device, tick, usb};
+use super::{crash, device, pump, tick};
 use crate::{Flags, State};
 
 /// Timeout of the independent watchdog. Longer than the patience of the tick with the tasks (250 ms) and the longest return that settings
@@ -29,7 +29,7 @@ pub async fn watch(watchdog: Peri<'static, IWDG>) {
     loop {
         ticker.next().await;
         let now =
-            (tick::SHOWN.ticks.load(Ordering::Relaxed), usb::HEARTBEAT.load(Ordering::Relaxed));
+            (tick::SHOWN.ticks.load(Ordering::Relaxed), pump::HEARTBEAT.load(Ordering::Relaxed));
         if now.0 != before.0 {
             if now.1 != before.1 {
                 let beat = tick::SHOWN.heartbeat.load(Ordering::Relaxed);

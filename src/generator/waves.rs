@@ -104,21 +104,39 @@ pub(super) fn multisine_sum(phase: u32, first: u16, stride: u16, tones: u8, sign
     high(swing, cos_q30(ahead)).wrapping_add(high(d << 6, sin_q30(back))) << 2
 }
 
-/// Amplitude of a tone, Q1.30, with which the largest value over a period is 1 (less a fiftieth for what lies between the samples).
-pub(super) fn multisine_amplitude(
-    first: u16,
-    stride: u16,
-    tones: u8,
-    signs: u32,
-    highest: u32,
-) -> i32 {
-    let samples = 16 * highest;
-    let step = u32::MAX / samples;
-    let peak = (0..samples)
-        .map(|n| multisine_sum(n.wrapping_mul(step), first, stride, tones, signs).unsigned_abs())
-        .max()
-        .unwrap_or(0)
-        .max(1 << 20);
-    // Of a sixteenth of the sum: 30 bits of the peak and 30 of the amplitude, less 4.
-    (((1u64 << 56) as f64 * 0.98 / peak as f64) as i32).min(ONE_Q30)
+/// Phases that [`PeakSearch::go_on`] looks at in one go: 15 us on the board, less than the pause between two packets of the
+/// fastest stream.
+const SLICE: u32 = 8;
+
+/// The search for a multisine's largest value over a period, in slices: all of it takes the board a tenth of a second, in which it has other
+/// things to do.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PeakSearch {
+    /// Phases that have been looked at.
+    seen: u32,
+    /// Largest value so far.
+    peak: u32,
+}
+
+impl PeakSearch {
+    /// Nothing has been looked at.
+    pub(crate) const NEW: Self = Self { seen: 0, peak: 1 << 20 };
+
+    /// Goes on; at the end the amplitude of a tone, Q1.30, with which the largest value is 1 (less a fiftieth for what lies between the
+    /// phases).
+    pub(super) fn go_on(&mut self, first: u16, stride: u16, tones: u8, signs: u32) -> Option<i32> {
+        // Sixteen phases in a period of the highest tone.
+        let highest = u32::from(first) + u32::from(stride) * u32::from(tones.saturating_sub(1));
+        let phases = 16 * highest.max(1);
+        let step = u32::MAX / phases;
+        let end = phases.min(self.seen + SLICE);
+        while self.seen < end {
+            let sum = multisine_sum(self.seen.wrapping_mul(step), first, stride, tones, signs);
+            self.peak = self.peak.max(sum.unsigned_abs());
+            self.seen += 1;
+        }
+        // Of a sixteenth of the sum: 30 bits of the peak and 30 of the amplitude, less 4.
+        let amplitude = || (((1u64 << 56) as f64 * 0.98 / self.peak as f64) as i32).min(ONE_Q30);
+        (end == phases).then(amplitude)
+    }
 }

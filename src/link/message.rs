@@ -8,7 +8,7 @@ use heapless::{String, Vec};
 use postcard_schema::{Schema, key::Key};
 use serde::{Deserialize, Serialize};
 
-use super::frame::{self, Frame, FrameError, HEADER, Kind};
+use super::frame::{self, Frame, FrameError, HEADER, Kind, TRAILER};
 use super::stream::{Fields, Profile};
 use crate::{GeneratorSettings, Settings};
 
@@ -28,6 +28,8 @@ const SETTINGS_VARIANT: u8 = 1;
 pub const TABLE_CHUNK: usize = 256;
 /// Longest text of a [`Crash`].
 pub const CRASH_TEXT: usize = 192;
+/// Bytes of a [`Command::Disarm`] as it travels.
+pub const DISARM_BYTES: usize = HEADER + 1 + TRAILER;
 /// Bins of [`Counters::cycles_histogram`].
 pub const HISTOGRAM_BINS: usize = 16;
 /// Width of a histogram bin in core clock cycles; the last bin also counts everything longer.
@@ -194,7 +196,7 @@ pub struct Counters {
     pub cycles_max: u32,
     /// Ticks by cycles, [`HISTOGRAM_BIN_CYCLES`] a bin.
     pub cycles_histogram: [u32; HISTOGRAM_BINS],
-    /// Samples dropped since the stream was started.
+    /// Samples dropped of the stream that is on, or of the last one if none is.
     pub dropped: u32,
     /// Stream frames sent.
     pub frames: u32,
@@ -292,12 +294,13 @@ pub fn decode_command(frame: &Frame<'_>) -> Result<Command, MessageError> {
     decode_message(frame, Kind::Command)
 }
 
-/// Whether a packet is one [`Command::Disarm`], whole and with nothing else: a device may act on it while it has another command to
-/// finish, and answer it when its turn comes.
-pub fn is_disarm(packet: &[u8]) -> bool {
+/// Whether a packet ends with a whole [`Command::Disarm`]: a device may act on it while it has other commands to finish, of this packet or
+/// of earlier ones, and answer it when its turn comes. What comes last holds in the end, so it does no harm to obey it too early.
+pub fn ends_with_disarm(packet: &[u8]) -> bool {
     /// Its number in the enumeration, which is all of its payload.
     const DISARM: u8 = 5;
-    super::frame::decode(packet).is_ok_and(|frame| {
+    let frame = packet.last_chunk::<DISARM_BYTES>();
+    frame.and_then(|frame| frame::decode(frame).ok()).is_some_and(|frame| {
         frame.kind == Kind::Command && frame.is_same_schema() && frame.payload == [DISARM]
     })
 }

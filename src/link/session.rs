@@ -15,6 +15,7 @@ use super::message::{
     self, Command, Counters, Crash, MessageError, Refusal, Reply, SCHEMA_HASH, Status,
 };
 use super::stream::{Fields, Profile, sample_bytes};
+use crate::generator::PeakSearch;
 use crate::settings::{AxisSettings, Check};
 use crate::{
     AXES, Config, Flags, Generator, GeneratorSettings, Settings, SettingsError, TABLE_POINTS,
@@ -45,7 +46,7 @@ pub trait Device {
     fn write_table(&mut self, offset: usize, points: &[f32]) -> Result<(), Refusal>;
     /// Puts the table into use; the tick from which. Only called while the loop is open.
     fn use_table(&mut self, len: usize) -> Result<u32, Refusal>;
-    /// Starts (or changes) or ends the stream; the tick from which.
+    /// Starts a stream, in place of the one that is on, or ends that; the tick from which.
     fn stream(&mut self, stream: Option<(Fields, Profile)>) -> u32;
     /// Restarts once the reply is out, into the DFU loader if `dfu`. Only called while parked.
     fn reboot(&mut self, dfu: bool);
@@ -53,6 +54,8 @@ pub trait Device {
     async fn control(&mut self, command: crate::Command) -> Result<u32, Refusal>;
     /// Writes the settings in effect to permanent memory; number and slot of the copy. Only called while parked.
     async fn save(&mut self) -> Result<(u32, u8), Refusal>;
+    /// Lets others run, in the midst of something long. A device that is alone has nobody to let.
+    async fn pause(&mut self) {}
 }
 
 /// Counts of a session.
@@ -313,8 +316,9 @@ fn identify<D: Device>(device: &D, sequence: u16, out: &mut [u8]) -> usize {
     super::encode(out, Kind::Identity, sequence, &payload).map_or(0, <[u8]>::len)
 }
 
+/// But for what takes long, which [`stage`] does.
 fn build(generator: &GeneratorSettings) -> Result<Generator, Refusal> {
-    Generator::build(generator).map_err(bad_setting)
+    Generator::outline(generator).map_err(bad_setting)
 }
 
 /// Checked whole, then in effect; the tick and what was built.
@@ -401,7 +405,15 @@ fn stream_on<D: Device>(
 }
 
 /// Everything that a waveform needs before its start; the tick from which it waits.
-async fn stage<D: Device>(device: &mut D, axis: u8, generator: Generator) -> Result<u32, Refusal> {
+async fn stage<D: Device>(
+    device: &mut D,
+    axis: u8,
+    mut generator: Generator,
+) -> Result<u32, Refusal> {
+    let mut search = PeakSearch::NEW;
+    while !generator.scale(&mut search) {
+        device.pause().await;
+    }
     let mut staged = Err(Refusal::NotReady);
     for command in generator.staging(axis) {
         staged = device.control(command).await;

@@ -425,7 +425,10 @@ impl Device for Board {
     fn stream(&mut self, stream: Option<(Fields, Profile)>) -> u32 {
         self.stream = stream;
         self.queue.clear();
-        self.dropped = 0;
+        // The count of a stream that has ended stays until the next one starts.
+        if stream.is_some() {
+            self.dropped = 0;
+        }
         self.tick as u32
     }
 

@@ -14,5 +14,6 @@ mod probe;
 mod resolution;
 mod restarts;
 mod socket;
+mod stalls;
 mod stream;
 mod usb;

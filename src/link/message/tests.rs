@@ -31,7 +31,7 @@ fn nothing_else_is_taken_for_disarm() {
     let mut buffer = [0; MAX_FRAME];
     let mut packet = |command: &Command| encode_command(&mut buffer, 5, command).unwrap().to_vec();
     let disarm = packet(&Command::Disarm);
-    assert!(is_disarm(&disarm));
+    assert!(ends_with_disarm(&disarm));
     for other in [
         Command::Status,
         Command::Arm,
@@ -41,16 +41,19 @@ fn nothing_else_is_taken_for_disarm() {
         Command::Start { axes: 5 },
         Command::SetSettings(longest_settings()),
     ] {
-        assert!(!is_disarm(&packet(&other)), "{other:?}");
+        assert!(!ends_with_disarm(&packet(&other)), "{other:?}");
     }
     for length in 0..disarm.len() {
-        assert!(!is_disarm(&disarm[..length]), "{length} bytes of it");
+        assert!(!ends_with_disarm(&disarm[..length]), "{length} bytes of it");
     }
-    assert!(!is_disarm(&[&disarm[..], &[0]].concat()), "something behind it");
+    assert!(!ends_with_disarm(&[&disarm[..], &[0]].concat()), "something behind it");
+    let behind_another = [packet(&Command::KeepAlive), disarm.clone()].concat();
+    assert!(ends_with_disarm(&behind_another), "what comes last holds");
+    assert!(!ends_with_disarm(&[&disarm[..], &packet(&Command::Arm)].concat()), "Arm comes last");
     for bit in 0..8 * disarm.len() {
         let mut damaged = disarm.clone();
         damaged[bit / 8] ^= 1 << (bit % 8);
-        assert!(!is_disarm(&damaged), "bit {bit}");
+        assert!(!ends_with_disarm(&damaged), "bit {bit}");
     }
 }
 
