@@ -59,7 +59,7 @@ fn session(stage: &Rig, waveforms: &[Waveform]) -> Session {
             Entry { path: PathBuf::from(&file), file, recording }
         })
         .collect();
-    Session { recordings }
+    Session { recordings, ..Session::default() }
 }
 
 fn triangle(low_v: f64, high_v: f64, hz: f64) -> impl Fn(f64) -> f64 {

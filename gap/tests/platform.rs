@@ -3,6 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
+use gap::Options;
 use gap::diagnosis::{Diagnosis, Role, Verdict};
 use gap::platform::{Outcome, diagnose, identify, replay};
 use host_sim::platform::{PlatformRig, presets};
@@ -49,7 +50,7 @@ fn one_mass() -> PlatformRig {
 }
 
 fn answer(rig: &PlatformRig, recordings: Vec<Entry>) -> Outcome {
-    diagnose(rig, &Session { recordings }).unwrap()
+    diagnose(rig, &Session { recordings, ..Session::default() }, &Options::default()).unwrap()
 }
 
 fn check_format(diagnosis: &Diagnosis) {
@@ -105,6 +106,20 @@ fn one_recording_names_the_second_mass_and_its_dampers() {
     assert!(html.contains("<svg") && html.contains("second-mass"));
 }
 
+/// What is taken out of the catalogue is not named, neither as a cause nor beside one.
+#[test]
+fn an_effect_out_of_the_catalogue() {
+    let truth = two_springs(1430.0, 2.0 / 3.0, 0.625, 25.0 / 3.0);
+    let session = Session {
+        recordings: vec![recorded("a", 1430.0, 8.0, 4.0, 7, truth)],
+        ..Session::default()
+    };
+    let options = Options { exclude: vec!["second-mass".into()], ..Options::default() };
+    let causes = diagnose(&one_mass(), &session, &options).unwrap().diagnosis.causes;
+    assert_eq!(causes[0].effect, "viscoelasticity");
+    assert!(causes[0].indistinguishable_from.is_empty(), "{causes:?}");
+}
+
 /// Intervals of 95 % hold the truth about as often as they say: 30 recordings, four figures each.
 #[test]
 fn intervals_hold_the_truth() {
@@ -112,7 +127,10 @@ fn intervals_hold_the_truth() {
     let (mut inside, mut all) = (0, 0);
     for seed in 100..130 {
         let truth = two_springs(1430.0, 2.0 / 3.0, 0.625, 25.0 / 3.0);
-        let session = Session { recordings: vec![recorded("a", 1430.0, 8.0, 4.0, seed, truth)] };
+        let session = Session {
+            recordings: vec![recorded("a", 1430.0, 8.0, 4.0, seed, truth)],
+            ..Session::default()
+        };
         let found = identify(&rig, &session).unwrap();
         for (name, truth) in [
             ("damping_n_s_per_m_1", 9600.0),
@@ -243,7 +261,10 @@ fn identify_tells_masses_only_where_they_show() {
     rig.masses[0].mass_kg = 0.07;
     rig.masses[0].stiffness_n_per_m = Some(k);
     rig.masses[0].damping_n_s_per_m = 1.3;
-    let session = Session { recordings: vec![recorded("a", 1000.0, 4.0, 4.0, 5, truth)] };
+    let session = Session {
+        recordings: vec![recorded("a", 1000.0, 4.0, 4.0, 5, truth)],
+        ..Session::default()
+    };
     let found = identify(&rig, &session).unwrap();
     assert!(
         (found.rig.masses[0].mass_kg / m - 1.0).abs() < 5e-3,
@@ -254,7 +275,10 @@ fn identify_tells_masses_only_where_they_show() {
     assert!(found.after_nm < 1.05 * found.floor_nm, "{} {}", found.after_nm, found.floor_nm);
 
     let slow = |t: f64| 1430.0 * (-t).exp();
-    let session = Session { recordings: vec![recorded("a", 1430.0, 8.0, 4.0, 5, slow)] };
+    let session = Session {
+        recordings: vec![recorded("a", 1430.0, 8.0, 4.0, 5, slow)],
+        ..Session::default()
+    };
     let found = identify(&one_mass(), &session).unwrap();
     assert_eq!(found.rig.masses[0].mass_kg, one_mass().masses[0].mass_kg);
     assert!((found.rig.masses[0].damping_n_s_per_m / 4.0e3 - 1.0).abs() < 5e-3);
@@ -283,7 +307,9 @@ fn bad_recordings_are_named() {
         (wide, "one axis"),
     ] {
         let error =
-            identify(&one_mass(), &Session { recordings: vec![entry] }).unwrap_err().to_string();
+            identify(&one_mass(), &Session { recordings: vec![entry], ..Session::default() })
+                .unwrap_err()
+                .to_string();
         assert!(error.starts_with("a.parquet: ") && error.contains(word), "{error}");
         assert!(!error.contains('\n'));
     }
@@ -296,7 +322,7 @@ fn planar_recording_of_the_independent_simulator() {
     let Some(rig) = shared_data::find("rigs/belfiore-planar.toml") else { return };
     let rig = PlatformRig::load(&rig).unwrap();
     let session = Session::read(&folder, None).unwrap();
-    let outcome = diagnose(&rig, &session).unwrap();
+    let outcome = diagnose(&rig, &session, &Options::default()).unwrap();
     check_second_mass(&outcome);
 }
 

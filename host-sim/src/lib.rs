@@ -31,6 +31,6 @@ pub use any_rig::AnyRig;
 pub use effects::Place;
 pub use plant::{Options, Plant, Sample};
 pub use rig::{Rig, RigError};
-pub use simulate::{Axes, Input, MAX_TICKS, Output, SimError, simulate};
+pub use simulate::{Axes, Input, MAX_TICKS, Output, RATES_HZ, SimError, simulate};
 pub use start::{Initial, Memory, Stretch};
 pub use tuning::controller_settings;

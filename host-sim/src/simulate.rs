@@ -8,6 +8,8 @@ use crate::start::Initial;
 
 /// Most ticks in one recording, lost ones included.
 pub const MAX_TICKS: u64 = 400_000_000;
+/// Sample rates that are simulated, Hz.
+pub const RATES_HZ: std::ops::RangeInclusive<f64> = 1.0..=1.0e6;
 
 /// Why a simulation cannot run: one line.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -91,7 +93,7 @@ pub fn simulate(rig: &Rig, input: &Input, wanted: Axes) -> Result<Output, SimErr
 pub(crate) fn check(rig: &Rig, input: &Input) -> Result<(), SimError> {
     let n = rig.axes.len();
     let fail = |message: String| Err(SimError(message));
-    if !(1.0..=1.0e6).contains(&input.sample_rate_hz) {
+    if !RATES_HZ.contains(&input.sample_rate_hz) {
         return fail(format!(
             "sample_rate_hz: expected 1 to 1000000, found {}",
             input.sample_rate_hz

@@ -7,12 +7,20 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, BufWriter, Write};
 use std::path::Path;
 
-use csv::{ReaderBuilder, StringRecord};
+use csv::{ErrorKind, ReaderBuilder, StringRecord};
 
 use crate::columns::{Column, Table};
 use crate::{Error, Meta, Recording, Result};
 
-const COMMENT: &str = "# flexstage:";
+pub(crate) const COMMENT: &str = "# flexstage:";
+
+/// Whether a file can be read without being told its sample rate: it begins with our metadata, or is Parquet with the wrong name.
+pub(crate) fn says_its_rate(path: &Path) -> Result<bool> {
+    let mut file = BufReader::new(File::open(path).map_err(Error::io(path, "open"))?);
+    let start = file.fill_buf().map_err(Error::io(path, "read"))?;
+    let text = start.strip_prefix("\u{feff}".as_bytes()).unwrap_or(start);
+    Ok(text.starts_with(COMMENT.as_bytes()) || start.starts_with(b"PAR1"))
+}
 
 pub(crate) fn read(path: &Path, sample_rate_hz: Option<f64>) -> Result<Recording> {
     let file = File::open(path).map_err(Error::io(path, "open"))?;
@@ -25,7 +33,7 @@ pub(crate) fn read(path: &Path, sample_rate_hz: Option<f64>) -> Result<Recording
     let line = start.split(|&byte| byte == b'\n').next().unwrap_or_default();
     let line = String::from_utf8_lossy(line).into_owned();
     let own = line.trim_start_matches('\u{feff}').strip_prefix(COMMENT);
-    let mut meta = match (own, sample_rate_hz) {
+    let meta = match (own, sample_rate_hz) {
         (Some(json), _) => Meta::from_json(json.trim(), path)?,
         (None, Some(rate)) => {
             let name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
@@ -38,14 +46,20 @@ pub(crate) fn read(path: &Path, sample_rate_hz: Option<f64>) -> Result<Recording
             ));
         }
     };
-    if let Some(rate) = sample_rate_hz {
-        meta.sample_rate_hz = rate;
-    }
     meta.check(path)?;
 
     let mut reader =
         ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_reader(file);
-    let unreadable = |error: csv::Error| Error::invalid(path, format!("not a CSV: {error}"));
+    let unreadable = |error: csv::Error| match error.kind() {
+        ErrorKind::UnequalLengths { pos, expected_len, len } => {
+            let line = pos.as_ref().map_or(0, csv::Position::line);
+            let what = format!(
+                "not a whole CSV: line {line}: expected {expected_len} columns as in the header, found {len}; is it cut off?"
+            );
+            Error::invalid(path, what)
+        }
+        _ => Error::invalid(path, format!("not a CSV: {error}")),
+    };
     let header = reader.headers().map_err(unreadable)?.clone();
     let name = |text: &str| Column::parse(text.trim_start_matches('\u{feff}'));
     let columns: Vec<Option<Column>> = header.iter().map(name).collect();

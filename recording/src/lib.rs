@@ -27,7 +27,10 @@ mod meta;
 mod parquet;
 mod session;
 mod stream;
+mod together;
 
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 pub use columns::MAX_AXES;
@@ -35,6 +38,7 @@ pub use error::{Error, Result};
 pub use meta::{FORMAT, METADATA_KEY, Meta, VERSION};
 pub use session::{Entry, Session};
 pub use stream::{Channels, Sample, StreamWriter, Summary, recover};
+pub use together::{Together, check_target};
 
 /// One experiment. All columns have the length of `tick`; the outer vectors have one entry an axis.
 #[derive(Clone, Debug, PartialEq)]
@@ -200,51 +204,76 @@ impl Recording {
         Ok(())
     }
 
-    /// Reads `.parquet`, or a `.csv` that carries its metadata (see [`Recording::read_csv`] for others).
+    /// Reads Parquet, or a CSV that carries its metadata (see [`Recording::read_csv`] for others).
     pub fn read(path: impl AsRef<Path>) -> Result<Self> {
-        let path = path.as_ref();
-        if is_csv(path) { csv::read(path, None) } else { parquet::read(path) }
+        read(path.as_ref(), None)
     }
 
     /// Reads a CSV with the contract's column names, sampled at `sample_rate_hz`; the other metadata are defaults unless the
-    /// file carries its own.
+    /// file carries its own. A file that says another rate itself is refused; Parquet always says one.
     pub fn read_csv(path: impl AsRef<Path>, sample_rate_hz: f64) -> Result<Self> {
-        csv::read(path.as_ref(), Some(sample_rate_hz))
+        read(path.as_ref(), Some(sample_rate_hz))
     }
 
-    /// Writes `.csv` or else Parquet, whole or not at all: a temporary file beside it is renamed when complete.
+    /// Writes `.csv` or `.parquet`, whole or not at all: a temporary file beside it is renamed when complete.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
-        let path = path.as_ref();
+        let mut together = Together::default();
+        self.write_into(&mut together, path.as_ref())?;
+        together.publish()
+    }
+
+    /// The same as one of several files that appear together.
+    pub fn write_into(&self, together: &mut Together, path: &Path) -> Result<()> {
         self.check(path)?;
-        let folder = match path.parent() {
-            Some(folder) if !folder.as_os_str().is_empty() => folder,
-            _ => Path::new("."),
-        };
-        let mut file = tempfile::Builder::new()
-            .prefix(".recording-")
-            .suffix(".part")
-            .tempfile_in(folder)
-            .map_err(Error::io(path, "write beside it"))?;
-        if is_csv(path) {
-            csv::write(self, file.as_file_mut(), path)?;
-        } else {
-            parquet::write(self, file.as_file_mut(), path)?;
-        }
-        publish(file, path)
+        check_name(path)?;
+        together.add(path, |file| {
+            if is_csv(path) {
+                csv::write(self, file, path)
+            } else {
+                parquet::write(self, file, path)
+            }
+        })
     }
 }
 
-/// Renames a finished temporary file into place with the permissions that a newly created file would have.
-fn publish(file: tempfile::NamedTempFile, path: &Path) -> Result<()> {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        // tempfile makes private files; recordings are for everybody whom the folder admits.
-        let permissions = std::fs::Permissions::from_mode(0o644);
-        file.as_file().set_permissions(permissions).map_err(Error::io(path, "set permissions"))?;
+/// Whether a recording can be written under this name: what is there already, and whether the name says what it is.
+pub fn check_name(path: &Path) -> Result<()> {
+    check_target(path)?;
+    if is_csv(path) || is_parquet(path) {
+        return Ok(());
     }
-    file.persist(path).map_err(|error| Error::io(path, "write")(error.error))?;
-    Ok(())
+    Err(Error::invalid(path, "expected the name of a recording, which ends in .parquet or .csv"))
+}
+
+/// What the file holds says how it is read, not its name: that decides only where the file does not tell.
+fn read(path: &Path, sample_rate_hz: Option<f64>) -> Result<Recording> {
+    let begins_with = |mark: &[u8]| -> Result<bool> {
+        // A pipe can be read once only, and a folder not at all: their readers know what to say.
+        if !path.is_file() {
+            return Ok(false);
+        }
+        let mut start = vec![0; mark.len()];
+        let mut file = File::open(path).map_err(Error::io(path, "open"))?;
+        Ok(file.read_exact(&mut start).is_ok() && start == mark)
+    };
+    let by_name = is_csv(path) || (sample_rate_hz.is_some() && !is_parquet(path));
+    let is_text = !begins_with(b"PAR1")? && (by_name || begins_with(csv::COMMENT.as_bytes())?);
+    let recording = if is_text { csv::read(path, sample_rate_hz)? } else { parquet::read(path)? };
+    let own = recording.meta.sample_rate_hz;
+    match sample_rate_hz {
+        // As good as a rate that was printed with few digits.
+        Some(given) if (own / given - 1.0).abs() > 1e-6 => Err(Error::invalid(
+            path,
+            format!(
+                "the file itself says a sample rate of {own} Hz, --sample-rate {given} Hz: expected the same (it may be left out)"
+            ),
+        )),
+        _ => Ok(recording),
+    }
+}
+
+fn is_parquet(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("parquet"))
 }
 
 fn is_csv(path: &Path) -> bool {

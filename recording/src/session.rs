@@ -2,13 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::{Error, Recording, Result, is_csv};
+use crate::{Error, Recording, Result, csv, is_csv, is_parquet};
 
 /// A folder of recordings of one rig. File names mean nothing; the session's clock orders them.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Session {
     /// Sorted by start on the session's clock, then by file name.
     pub recordings: Vec<Entry>,
+    /// What whoever reads the answer has to know of the folder, a sentence each: files that were left out, names that differ.
+    pub notes: Vec<String>,
 }
 
 /// One recording of a session.
@@ -24,39 +26,39 @@ pub struct Entry {
 
 impl Session {
     /// Reads all recordings that lie directly in `folder`: `.parquet`, and `.csv` that carry their metadata or all `.csv`
-    /// if a sample rate is given. Other files (a rig, notes) and hidden ones are left alone.
+    /// if a sample rate is given; other `.csv` are left out and noted. Other files (a rig, notes) and hidden ones are left alone.
+    /// A recording that is damaged makes the session unusable: an answer from the others alone would be another one.
     pub fn read(folder: impl AsRef<Path>, csv_sample_rate_hz: Option<f64>) -> Result<Self> {
         let folder = folder.as_ref();
         let entries =
             std::fs::read_dir(folder).map_err(Error::io(folder, "open session folder"))?;
-        let mut recordings = Vec::new();
-        let mut skipped_csv = 0;
+        let mut paths = Vec::new();
         for entry in entries {
             let path = entry.map_err(Error::io(folder, "list"))?.path();
-            let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            if file.starts_with('.') || path.is_dir() {
-                continue;
+            let is_hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
+            if (is_csv(&path) || is_parquet(&path)) && !is_hidden && !path.is_dir() {
+                paths.push(path);
             }
-            let recording = if is_csv(&path) {
-                match csv_sample_rate_hz {
-                    Some(rate) => Recording::read_csv(&path, rate)?,
-                    None => match Recording::read(&path) {
-                        Ok(recording) => recording,
-                        Err(_) => {
-                            skipped_csv += 1;
-                            continue;
-                        }
-                    },
-                }
-            } else if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("parquet")) {
-                Recording::read(&path)?
-            } else {
-                continue;
-            };
-            recordings.push(Entry { path, file, recording });
         }
-        if recordings.is_empty() {
-            let found = match skipped_csv {
+        // Of several that are damaged always the same is named.
+        paths.sort();
+        let mut session = Self::default();
+        for path in paths {
+            let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let recording = match csv_sample_rate_hz {
+                Some(rate) if is_csv(&path) => Recording::read_csv(&path, rate)?,
+                None if is_csv(&path) && !csv::says_its_rate(&path)? => {
+                    session.notes.push(format!(
+                        "{file} was left out: a CSV without a sample rate (if it is a recording, give --sample-rate)."
+                    ));
+                    continue;
+                }
+                _ => Recording::read(&path)?,
+            };
+            session.recordings.push(Entry { path, file, recording });
+        }
+        if session.recordings.is_empty() {
+            let found = match session.notes.len() {
                 0 => "none".to_string(),
                 n => format!("{n} CSV without a sample rate (give --sample-rate)"),
             };
@@ -65,11 +67,23 @@ impl Session {
                 format!("expected recordings (*.parquet), found {found}"),
             ));
         }
-        recordings.sort_by(|a, b| {
+        session.recordings.sort_by(|a, b| {
             let start = |entry: &Entry| entry.recording.meta.start_s;
             start(a).total_cmp(&start(b)).then_with(|| a.file.cmp(&b.file))
         });
-        Ok(Self { recordings })
+        session.notes.extend(session.differing_rigs());
+        Ok(session)
+    }
+
+    /// A session is of one rig. Who renames it in between still may mean the same, so this is no error.
+    fn differing_rigs(&self) -> Option<String> {
+        let mut named = self.recordings.iter().filter(|entry| !entry.recording.meta.rig.is_empty());
+        let first = named.next()?;
+        let other = named.find(|entry| entry.recording.meta.rig != first.recording.meta.rig)?;
+        Some(format!(
+            "The recordings name more than one rig: {} says \"{}\", {} says \"{}\". They were taken for one.",
+            first.file, first.recording.meta.rig, other.file, other.recording.meta.rig
+        ))
     }
 
     /// Number of axes of the session: the most that any of its recordings has.

@@ -20,7 +20,7 @@ use parquet::file::writer::SerializedFileWriter;
 
 use crate::columns::{Column, OfAxis};
 use crate::parquet::{Values, cannot_write, properties, schema, write_group};
-use crate::{Error, Meta, Recording, Result};
+use crate::{Error, Meta, Recording, Result, is_parquet};
 
 /// Which columns a stream has. `tick`, drive and position are always there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -97,6 +97,13 @@ impl StreamWriter {
     pub fn create(path: impl AsRef<Path>, meta: Meta, channels: Channels) -> Result<Self> {
         let path = path.as_ref();
         meta.check(path)?;
+        // The footer of a Parquet file is all that can be rebuilt after a crash: a stream is never written as CSV.
+        if !is_parquet(path) {
+            return Err(Error::invalid(
+                path,
+                "expected a name that ends in .parquet (`export` makes a CSV of it)",
+            ));
+        }
         let (part, journal) = unfinished(path);
         for taken in [path, part.as_path(), journal.as_path()] {
             if taken.exists() {

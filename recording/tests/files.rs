@@ -78,7 +78,10 @@ fn csv_of_others_needs_only_names_and_a_rate() {
         ),
         ("tick,drive_v_1,position_um_1\n-4,1,1\n", "column `tick`, line 2"),
         ("tick,drive_v_1,position_um_1\n0,,1\n", "column `drive_v_1`, line 2"),
-        ("tick,drive_v_1,position_um_1\n0,1\n", "not a CSV"),
+        (
+            "tick,drive_v_1,position_um_1\n0,1\n",
+            "line 2: expected 3 columns as in the header, found 2",
+        ),
         ("tick,drive_v_1,position_um_1\n", "no samples"),
         ("tick,drive_v_1,drive_v_1,position_um_1\n0,1,1,1\n", "`drive_v_1` is there twice"),
         ("drive_v_1,position_um_1\n0,1\n", "column `tick` is missing"),

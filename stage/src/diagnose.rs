@@ -1,10 +1,9 @@
 //! `flexstage diagnose`: why the rig and its simulation disagree.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use anstream::println;
-use anyhow::{Context, bail};
+use anyhow::bail;
 use host_sim::AnyRig;
 use recording::Session;
 
@@ -27,64 +26,107 @@ pub struct Args {
     exclude: Vec<String>,
 }
 
+/// Names of what is written.
+const ANSWER: [&str; 3] = ["diagnosis.json", "rig.toml", "report.html"];
+
 /// Run the command.
 pub fn run(args: Args) -> anyhow::Result<()> {
     let rig = AnyRig::load(&args.rig)?;
-    let session = Session::read(&args.session, args.sample_rate)?;
-    for name in &args.exclude {
-        if host_sim::effects::find(name).is_none() {
-            let known: Vec<&str> =
-                host_sim::effects::catalogue().iter().map(|e| e.info().name).collect();
-            bail!("--exclude {name}: no such effect; the catalogue has {}", known.join(", "));
-        }
-    }
+    check_excluded(&args.exclude, &rig)?;
     if args.out.exists() && !args.out.is_dir() {
         bail!("{}: expected a folder for the answer, found a file", args.out.display());
     }
-    let rig = match rig {
-        AnyRig::Stage(rig) => rig,
-        AnyRig::Platform(rig) => return crate::platform::diagnose(&rig, &session, &args.out),
-    };
-    for entry in &session.recordings {
-        crate::platform::refuse_free_return(&entry.recording, &entry.path)?;
+    let session = Session::read(&args.session, args.sample_rate)?;
+    // Before the work, not after it.
+    for name in ANSWER {
+        let target = args.out.join(name);
+        recording::check_target(&target)?;
+        no_input(&target, inputs(&args.rig, &session))?;
     }
     let options = gap::Options { exclude: args.exclude, progress: true };
-    let outcome = gap::diagnose(&rig, &session, &options)?;
-    let mut json = serde_json::to_string_pretty(&outcome.diagnosis)?;
+    let (diagnosis, rig, report) = match rig {
+        AnyRig::Stage(rig) => {
+            for entry in &session.recordings {
+                crate::platform::refuse_free_return(&entry.recording, &entry.path)?;
+            }
+            let outcome = gap::diagnose(&rig, &session, &options)?;
+            (outcome.diagnosis, outcome.rig.to_toml(), outcome.report)
+        }
+        AnyRig::Platform(rig) => {
+            let outcome = gap::platform::diagnose(&rig, &session, &options)?;
+            (outcome.diagnosis, outcome.rig.to_toml(), outcome.report)
+        }
+    };
+    let mut json = serde_json::to_string_pretty(&diagnosis)?;
     json.push('\n');
-    write_all(
-        &args.out,
-        &[
-            ("diagnosis.json", json),
-            ("rig.toml", outcome.rig.to_toml()),
-            ("report.html", outcome.report.to_html()),
-        ],
-    )?;
-    println!("{}", gap::sentence(&outcome.diagnosis));
-    println!("{}", args.out.join("report.html").display());
+    let [json_name, rig_name, report_name] = ANSWER;
+    write_all(&args.out, &[(json_name, json), (rig_name, rig), (report_name, report.to_html())])?;
+    println!("{}", gap::sentence(&diagnosis));
+    for note in &session.notes {
+        println!("{note}");
+    }
+    println!("{}", args.out.join(report_name).display());
     Ok(())
 }
 
-/// Write files into a folder, all of them or none: each goes to a temporary name first.
-pub(crate) fn write_all(folder: &Path, files: &[(&str, String)]) -> anyhow::Result<()> {
-    fs::create_dir_all(folder)
-        .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
-    let mut made = Vec::new();
-    for (name, text) in files {
-        let temporary = folder.join(format!(".{name}.part"));
-        if let Err(error) = fs::write(&temporary, text) {
-            for file in &made {
-                let _ = fs::remove_file(file);
-            }
-            let _ = fs::remove_file(&temporary);
-            return Err(error).with_context(|| format!("{}: cannot write", temporary.display()));
+/// What is taken out of a catalogue must be in it: in that of the rig's kind, or among what a stage is told from.
+fn check_excluded(excluded: &[String], rig: &AnyRig) -> anyhow::Result<()> {
+    use host_sim::effects::{catalogue, strangers};
+    let (kind, known, beside): (_, Vec<&str>, Vec<&str>) = match rig {
+        AnyRig::Stage(_) => {
+            let names = |effects: &[&dyn host_sim::effects::Effect]| {
+                effects.iter().map(|effect| effect.info().name).collect()
+            };
+            ("stages", names(catalogue()), names(strangers()))
         }
-        made.push(temporary);
-    }
-    for ((name, _), temporary) in files.iter().zip(&made) {
-        let target = folder.join(name);
-        fs::rename(temporary, &target)
-            .with_context(|| format!("{}: cannot write", target.display()))?;
+        AnyRig::Platform(_) => {
+            let effects = gap::platform::catalogue::CATALOGUE;
+            ("platforms", effects.iter().map(|effect| effect.name()).collect(), Vec::new())
+        }
+    };
+    for name in excluded {
+        if !known.contains(&name.as_str()) && !beside.contains(&name.as_str()) {
+            let beside = match beside.as_slice() {
+                [] => String::new(),
+                list => format!("; what is told from it: {}", list.join(", ")),
+            };
+            bail!(
+                "--exclude {name}: no such effect; the catalogue of {kind} has {}{beside}",
+                known.join(", ")
+            );
+        }
     }
     Ok(())
+}
+
+/// Everything that a command reads.
+pub(crate) fn inputs<'a>(rig: &'a Path, session: &'a Session) -> impl Iterator<Item = &'a Path> {
+    std::iter::once(rig).chain(session.recordings.iter().map(|entry| entry.path.as_path()))
+}
+
+/// Refuse to write over what was read, by whatever name.
+pub(crate) fn no_input<'a>(
+    out: &Path,
+    inputs: impl IntoIterator<Item = &'a Path>,
+) -> anyhow::Result<()> {
+    for input in inputs {
+        if same_file::is_same_file(out, input).unwrap_or(false) {
+            bail!(
+                "{}: the answer would overwrite what it is made from, {}: give --out another name",
+                out.display(),
+                input.display()
+            );
+        }
+    }
+    Ok(())
+}
+
+/// Write files into a folder, all of them or none.
+pub(crate) fn write_all(folder: &Path, files: &[(&str, String)]) -> anyhow::Result<()> {
+    let mut together = recording::Together::default();
+    together.folder(folder)?;
+    for (name, text) in files {
+        together.add_text(&folder.join(name), text)?;
+    }
+    Ok(together.publish()?)
 }

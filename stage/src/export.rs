@@ -24,6 +24,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         "{}: expected a new file, found one: it is not overwritten",
         args.to.display()
     );
+    recording::check_name(&args.to)?;
     let recording = match args.sample_rate {
         Some(rate) => Recording::read_csv(&args.from, rate)?,
         None => Recording::read(&args.from)?,

@@ -7,6 +7,8 @@ use anyhow::bail;
 use host_sim::{AnyRig, Rig};
 use recording::Session;
 
+use crate::diagnose::{inputs, no_input};
+
 /// Options of `flexstage identify`.
 #[derive(clap::Args)]
 pub struct Args {
@@ -33,38 +35,48 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     if args.out.is_dir() {
         bail!("{}: expected a file for the calibrated rig, found a folder", args.out.display());
     }
-    match AnyRig::load(&args.rig)? {
-        AnyRig::Platform(_) if args.for_control => {
-            bail!(
-                "{}: --for-control: expected a stage driven by stacks, found a platform",
-                args.rig.display()
-            )
-        }
-        AnyRig::Platform(rig) => {
-            crate::platform::identify(&rig, &args.session, args.sample_rate, &args.out)
-        }
-        AnyRig::Stage(rig) => stage(&rig, &args),
-    }
-}
-
-fn stage(rig: &Rig, args: &Args) -> anyhow::Result<()> {
-    let session = Session::read(&args.session, args.sample_rate)?;
-    for entry in &session.recordings {
-        crate::platform::refuse_free_return(&entry.recording, &entry.path)?;
-    }
+    recording::check_target(&args.out)?;
     let Some(name) = args.out.file_name().and_then(|n| n.to_str()) else {
         bail!("{}: expected a file name for the calibrated rig", args.out.display());
     };
     let parent = args.out.parent().filter(|p| !p.as_os_str().is_empty());
     let parent = parent.unwrap_or(Path::new("."));
-    if args.for_control {
+    let rig = AnyRig::load(&args.rig)?;
+    if args.for_control && matches!(rig, AnyRig::Platform(_)) {
+        bail!(
+            "{}: --for-control: expected a stage driven by stacks, found a platform",
+            args.rig.display()
+        );
+    }
+    let session = Session::read(&args.session, args.sample_rate)?;
+    no_input(&args.out, inputs(&args.rig, &session))?;
+    match rig {
+        AnyRig::Platform(rig) => crate::platform::identify(&rig, &session, parent, name)?,
+        AnyRig::Stage(rig) => stage(&rig, &session, args.for_control, (parent, name))?,
+    }
+    for note in &session.notes {
+        println!("{note}");
+    }
+    Ok(())
+}
+
+fn stage(
+    rig: &Rig,
+    session: &Session,
+    for_control: bool,
+    (parent, name): (&Path, &str),
+) -> anyhow::Result<()> {
+    for entry in &session.recordings {
+        crate::platform::refuse_free_return(&entry.recording, &entry.path)?;
+    }
+    if for_control {
         let bar = indicatif::ProgressBar::new_spinner().with_message(format!(
             "fitting creep, hysteresis and lag of {} axes to {} recordings",
             rig.axes.len(),
             session.recordings.len()
         ));
         bar.enable_steady_tick(std::time::Duration::from_millis(100));
-        let found = gap::for_control(rig, &session);
+        let found = gap::for_control(rig, session);
         bar.finish_and_clear();
         let found = found?;
         crate::diagnose::write_all(parent, &[(name, found.rig.to_toml())])?;
@@ -79,7 +91,7 @@ fn stage(rig: &Rig, args: &Args) -> anyhow::Result<()> {
         return Ok(());
     }
     let options = gap::Options { progress: true, ..gap::Options::default() };
-    let found = gap::identify(rig, &session, &options)?;
+    let found = gap::identify(rig, session, &options)?;
     crate::diagnose::write_all(parent, &[(name, found.rig.to_toml())])?;
     for line in &found.lines {
         println!("{line}");

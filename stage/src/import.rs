@@ -11,7 +11,7 @@ use anstream::println;
 use anyhow::{Context, bail, ensure};
 use ndarray::{ArrayD, Axis, IxDyn};
 use ndarray_npy::ReadNpyExt;
-use recording::{Meta, Recording};
+use recording::{Meta, Recording, Together};
 
 /// Options of `flexstage import`.
 #[derive(clap::Args)]
@@ -70,26 +70,43 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         (_, _, Some(table)) => vec![from_table(&args, table)?],
         _ => bail!("expected --drive and --position, or --table"),
     };
-    let one = args.out.extension().is_some_and(|e| e == "parquet" || e == "csv");
-    ensure!(
-        !one || recordings.len() == 1,
-        "--out {}: expected a folder for {} recordings, found the name of one",
-        args.out.display(),
-        recordings.len()
-    );
-    // All are checked before the first is written.
-    for recording in &recordings {
+    let one = recording::check_name(&args.out).is_ok();
+    let mut together = Together::default();
+    let paths: Vec<PathBuf> = if one {
+        ensure!(
+            recordings.len() == 1,
+            "--out {}: expected a folder for {} recordings, found the name of one",
+            args.out.display(),
+            recordings.len()
+        );
+        vec![args.out.clone()]
+    } else {
+        // A name with another ending is a slip, unless there is such a folder.
+        ensure!(
+            args.out.is_dir() || args.out.extension().is_none(),
+            "--out {}: expected a name that ends in .parquet or .csv and is no folder, or a folder (one with a dot in its name has to be \
+             made before)",
+            args.out.display()
+        );
+        ensure!(
+            Path::new(&args.experiment).file_name().is_some_and(|n| n == args.experiment.as_str())
+                && !args.experiment.starts_with('.'),
+            "--experiment: the recordings are named after it: expected text without / that does not begin with a dot, found \"{}\"",
+            args.experiment
+        );
+        together.folder(&args.out)?;
+        let name = |r: &Recording| args.out.join(format!("{}.parquet", r.meta.experiment));
+        recordings.iter().map(name).collect()
+    };
+    // All are written before the first gets its name.
+    let inputs = [&args.drive, &args.position, &args.table];
+    for (recording, path) in recordings.iter().zip(&paths) {
+        crate::diagnose::no_input(path, inputs.into_iter().flatten().map(PathBuf::as_path))?;
         recording.check(args.drive.as_deref().or(args.table.as_deref()).unwrap_or(&args.out))?;
+        recording.write_into(&mut together, path)?;
     }
-    for recording in &recordings {
-        let path = if one {
-            args.out.clone()
-        } else {
-            fs::create_dir_all(&args.out)
-                .with_context(|| format!("{}: cannot create", args.out.display()))?;
-            args.out.join(format!("{}.parquet", recording.meta.experiment))
-        };
-        recording.write(&path)?;
+    together.publish()?;
+    for (recording, path) in recordings.iter().zip(&paths) {
         println!("{}: {} samples, {} axes", path.display(), recording.len(), recording.axes());
     }
     Ok(())
@@ -124,15 +141,15 @@ fn read_array(path: &Path, dims: &[String]) -> anyhow::Result<ArrayD<f64>> {
             Ok(array) => return Ok(array),
             Err(error) => error,
         };
-        if let Ok(array) = ArrayD::<f32>::read_npy(bytes.as_slice()) {
-            return Ok(array.mapv(f64::from));
+        macro_rules! try_types {
+            ($($kind:ty),*) => {$(
+                if let Ok(array) = ArrayD::<$kind>::read_npy(bytes.as_slice()) {
+                    return Ok(array.mapv(|value| value as f64));
+                }
+            )*};
         }
-        if let Ok(array) = ArrayD::<i16>::read_npy(bytes.as_slice()) {
-            return Ok(array.mapv(f64::from));
-        }
-        if let Ok(array) = ArrayD::<i32>::read_npy(bytes.as_slice()) {
-            return Ok(array.mapv(f64::from));
-        }
+        // Beyond 2^53 a 64-bit count is rounded: no voltage or position is told that finely.
+        try_types!(f32, i16, i32, i64, u16, u32, u64, i8, u8);
         Err(wrong)
     };
     let array = try_read().map_err(|error| {
@@ -257,6 +274,7 @@ fn from_table(args: &Args, path: &Path) -> anyhow::Result<Recording> {
     let mut header: Vec<&str> = Vec::new();
     let mut rows: Vec<Vec<f64>> = Vec::new();
     let mut numeric = 0;
+    let mut not_numeric = None;
     for (number, line) in text.lines().enumerate() {
         let line = line.trim().trim_start_matches('\u{feff}');
         if line.is_empty() || line.starts_with(['#', '%']) {
@@ -271,11 +289,23 @@ fn from_table(args: &Args, path: &Path) -> anyhow::Result<Recording> {
                 }
             }
             // Lines of text before the first numbers are headers; the last one names the columns.
-            Err(_) if numeric == 0 => header = fields,
+            Err(_) if numeric == 0 => {
+                if !header.is_empty() {
+                    not_numeric.get_or_insert((number + 1, line));
+                }
+                header = fields;
+            }
             Err(_) => {
                 bail!("{}: line {}: expected numbers, found \"{line}\"", path.display(), number + 1)
             }
         }
+    }
+    if let (0, Some((number, line))) = (numeric, not_numeric) {
+        bail!(
+            "{}: expected rows of numbers (with points, and no separator at the end), found none; line {number} is \"{}\"",
+            path.display(),
+            line.chars().take(60).collect::<String>()
+        );
     }
     ensure!(!rows.is_empty(), "{}: expected rows of numbers, found none", path.display());
     let width = rows[0].len();

@@ -1,4 +1,4 @@
-//! `diagnose`, `identify` and `replay` for rigs of `kind = "platform"` (second paper).
+//! `identify` and `replay` for rigs of `kind = "platform"` (second paper).
 
 use std::path::Path;
 
@@ -21,37 +21,14 @@ pub fn refuse_free_return(recording: &Recording, file: &Path) -> anyhow::Result<
     Ok(())
 }
 
-/// `flexstage diagnose` for a platform.
-pub fn diagnose(rig: &PlatformRig, session: &Session, out: &Path) -> anyhow::Result<()> {
-    let outcome = gap::platform::diagnose(rig, session)?;
-    let mut json = serde_json::to_string_pretty(&outcome.diagnosis)?;
-    json.push('\n');
-    write_all(
-        out,
-        &[
-            ("diagnosis.json", json),
-            ("rig.toml", outcome.rig.to_toml()),
-            ("report.html", outcome.report.to_html()),
-        ],
-    )?;
-    println!("{}", gap::sentence(&outcome.diagnosis));
-    println!("{}", out.join("report.html").display());
-    Ok(())
-}
-
-/// `flexstage identify` for a platform.
+/// `flexstage identify` for a platform, into a file of a folder.
 pub fn identify(
     rig: &PlatformRig,
-    session: &Path,
-    sample_rate_hz: Option<f64>,
-    out: &Path,
+    session: &Session,
+    folder: &Path,
+    name: &str,
 ) -> anyhow::Result<()> {
-    let session = Session::read(session, sample_rate_hz)?;
-    let Some(name) = out.file_name().and_then(|name| name.to_str()) else {
-        bail!("{}: expected a file name for the calibrated rig", out.display());
-    };
-    let found = gap::platform::identify(rig, &session)?;
-    let folder = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let found = gap::platform::identify(rig, session)?;
     write_all(folder, &[(name, found.rig.to_toml())])?;
     for line in &found.lines {
         println!("{line}");

@@ -30,6 +30,9 @@ pub struct Args {
 /// Run the command.
 pub fn run(args: Args) -> anyhow::Result<()> {
     let rig = AnyRig::load(&args.rig)?;
+    // Before the work, not after it.
+    recording::check_name(&args.out)?;
+    crate::diagnose::no_input(&args.out, [args.rig.as_path(), &args.recording])?;
     let recording = match args.sample_rate {
         Some(rate) => Recording::read_csv(&args.recording, rate)?,
         None => Recording::read(&args.recording)?,

@@ -10,11 +10,10 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::fitting::knobs::{EffectRef, FARTHEST_ZERO};
+use crate::session::coherent::coherent;
 use crate::session::floor::Kind;
 use crate::session::scene::{Scene, Stack};
-use crate::session::spectra::{
-    SLOWEST_HUM_HZ, coherent, has_harmonic, lines, push_apart, resonances,
-};
+use crate::session::spectra::{SLOWEST_HUM_HZ, has_harmonic, lines, push_apart, resonances};
 
 /// What the session offers to look at.
 #[derive(Debug, Clone)]

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use recording::{Recording, Session};
+use recording::{Entry, Recording, Session};
 
 /// A recording that cannot be used as a free return: one line.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -81,9 +81,11 @@ pub fn free_return_of(
 
 impl Return {
     /// A recording as a free return.
-    pub fn of(recording: &Recording, file: &str) -> Result<Self, PlatformDataError> {
-        let (initial_m, time_s) = free_return_of(recording, Path::new(file))?;
-        let fail = |message: String| Err(PlatformDataError { file: file.to_owned(), message });
+    pub fn of(entry: &Entry) -> Result<Self, PlatformDataError> {
+        let Entry { path, file, recording } = entry;
+        let (initial_m, time_s) = free_return_of(recording, path)?;
+        let fail =
+            |message: String| Err(PlatformDataError { file: path.display().to_string(), message });
         if recording.axes() != 1 {
             return fail(format!(
                 "a platform has one axis, found columns of {} axes",
@@ -97,11 +99,13 @@ impl Return {
         let scored = position.len().saturating_sub(scored_from);
         if scored < MIN_SAMPLES {
             return fail(format!(
-                "{scored} samples after settle_s, expected at least {MIN_SAMPLES}"
+                "{scored} of {} samples come after settle_s = {} s: expected at least {MIN_SAMPLES}",
+                position.len(),
+                recording.meta.settle_s
             ));
         }
         Ok(Self {
-            file: file.to_owned(),
+            file: file.clone(),
             time_s,
             position_m: position.iter().map(|um| f64::from(*um) * 1e-6).collect(),
             initial_m,
@@ -118,7 +122,7 @@ impl Return {
 
 /// All free returns of a session, in its order.
 pub fn returns(session: &Session) -> Result<Vec<Return>, PlatformDataError> {
-    session.recordings.iter().map(|entry| Return::of(&entry.recording, &entry.file)).collect()
+    session.recordings.iter().map(Return::of).collect()
 }
 
 impl Part {

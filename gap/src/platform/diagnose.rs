@@ -7,6 +7,7 @@ use recording::Session;
 use report::Report;
 
 use super::{
+    catalogue::{CATALOGUE, Effect},
     causes::{ambiguity, cause},
     data::{self, Part, PlatformDataError, Return, Split},
     fit::{Data, Fit, fit},
@@ -17,6 +18,7 @@ use super::{
     select::{self, Question, Selection},
     tell,
 };
+use crate::Options;
 use crate::diagnosis::{AxisGap, Diagnosis, Gap, Location, RecordingGap, Role, Verdict};
 
 /// What a diagnosis gives.
@@ -68,7 +70,13 @@ pub struct Window {
 }
 
 /// Diagnose a session of free returns.
-pub fn diagnose(rig: &PlatformRig, session: &Session) -> Result<Outcome, PlatformDataError> {
+pub fn diagnose(
+    rig: &PlatformRig,
+    session: &Session,
+    options: &Options,
+) -> Result<Outcome, PlatformDataError> {
+    let may_be_named = |effect: &Effect| options.exclude.iter().all(|name| name != effect.name());
+    let catalogue: Vec<Effect> = CATALOGUE.into_iter().filter(may_be_named).collect();
     let returns = data::returns(session)?;
     let noise: Vec<Noise> = returns.iter().map(noise::measure).collect();
     let data = Data { returns: &returns, noise: &noise };
@@ -80,7 +88,7 @@ pub fn diagnose(rig: &PlatformRig, session: &Session) -> Result<Outcome, Platfor
         message: "the chain cannot be simulated; check masses, stiffness and damping of the rig"
             .to_owned(),
     };
-    let question = Question { data, split: &split, floor_m: floor };
+    let question = Question { data, split: &split, floor_m: floor, catalogue: &catalogue };
     let selection = select::select(question, rig).ok_or_else(unusable)?;
 
     // The figures of the gap come from the fitted part alone; the rig that is handed out is refitted to all samples.
@@ -92,6 +100,8 @@ pub fn diagnose(rig: &PlatformRig, session: &Session) -> Result<Outcome, Platfor
     let windows = windows(data, rig, &selection.fit.model.rig, &all);
     let verdict = verdict(&gap, &selection, &split, memory, &noise);
     let ambiguity = ambiguity(&selection, &found);
+    let mut notes = session.notes.clone();
+    notes.extend(self::notes(data, &found, &selection, &all, &windows, memory, &gap));
     let diagnosis = Diagnosis {
         band: None,
         in_order_nm: None,
@@ -102,7 +112,7 @@ pub fn diagnose(rig: &PlatformRig, session: &Session) -> Result<Outcome, Platfor
         causes: selection.accepted.iter().map(|accepted| cause(accepted, &found, memory)).collect(),
         next_experiment: ambiguity,
         recordings: recordings(data, rig, &selection.fit.model.rig, &split),
-        notes: notes(data, &found, &selection, &all, &windows, memory, &gap),
+        notes,
         gap,
     };
     let findings = Findings {

@@ -8,7 +8,7 @@ use host_sim::platform::PlatformRig;
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
 
 use super::{
-    catalogue::{CATALOGUE, Effect},
+    catalogue::Effect,
     data::Split,
     fit::{Data, Fit, fit},
     identify,
@@ -73,6 +73,8 @@ pub struct Question<'a> {
     pub split: &'a Split,
     /// Noise over the held-out samples, m.
     pub floor_m: f64,
+    /// Effects that may be named, in the order of the catalogue.
+    pub catalogue: &'a [Effect],
 }
 
 impl Question<'_> {
@@ -145,8 +147,10 @@ pub fn select(question: Question, nominal: &PlatformRig) -> Option<Selection> {
     while chain.len() < MOST {
         let now = chain.last().map_or(&start, |(_, fit)| fit).clone();
         let at_the_noise = !chain.is_empty() && question.at_the_noise(&now);
-        let mut candidates: Vec<(Effect, Fit)> = CATALOGUE
-            .into_iter()
+        let mut candidates: Vec<(Effect, Fit)> = question
+            .catalogue
+            .iter()
+            .copied()
             .filter(|effect| !chain.iter().any(|(own, _)| own == effect))
             // Where only noise is left, the two that are integrated step by step have nothing to find worth their time.
             .filter(|effect| !at_the_noise || !effect.is_stepped())
@@ -230,7 +234,8 @@ fn settle_damping(
         return (shares, full.clone());
     };
     let gain = (held(&without) - held(full)) / explainable;
-    if without.bic() - full.bic() < STRONG || gain < WORTH_NAMING {
+    let may_name = question.catalogue.contains(&Effect::Damping);
+    if !may_name || without.bic() - full.bic() < STRONG || gain < WORTH_NAMING {
         return (shares, without);
     }
     if let Some(first) = shares.first_mut() {
@@ -257,7 +262,7 @@ fn rivals(
     let own = question.evidence(fit);
     let mut weights = 1.0;
     let mut alike = Vec::new();
-    for rival in CATALOGUE {
+    for &rival in question.catalogue {
         if chosen.contains(&rival) {
             continue;
         }

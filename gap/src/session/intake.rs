@@ -5,9 +5,9 @@
 
 use std::sync::Arc;
 
-use host_sim::Stretch;
 use host_sim::rig::Rig;
-use recording::{Recording, Session};
+use host_sim::{RATES_HZ, Stretch};
+use recording::{Entry, Recording, Session};
 
 use crate::Error;
 
@@ -72,7 +72,7 @@ impl Track {
 }
 
 /// Check a session against its rig and lay every recording on its clock. Recordings with nothing to score are passed over and
-/// named beside the tracks, unless there are no others.
+/// named beside the tracks, with the session's own notes, unless there are no others.
 pub fn tracks(rig: &Rig, session: &Session) -> Result<(Vec<Track>, Vec<String>), Error> {
     if session.recordings.is_empty() {
         return Err(Error::Session("no recording in the folder".into()));
@@ -80,7 +80,7 @@ pub fn tracks(rig: &Rig, session: &Session) -> Result<(Vec<Track>, Vec<String>),
     let short = |r: &Recording| r.len() < r.settle_rows() + FEWEST_SAMPLES;
     let all_short = session.recordings.iter().all(|entry| short(&entry.recording));
     let mut tracks = Vec::with_capacity(session.recordings.len());
-    let mut passed_over = Vec::new();
+    let mut passed_over = session.notes.clone();
     let mut unscored = Vec::new();
     for entry in &session.recordings {
         if short(&entry.recording) && !all_short {
@@ -89,17 +89,20 @@ pub fn tracks(rig: &Rig, session: &Session) -> Result<(Vec<Track>, Vec<String>),
                 entry.file, entry.recording.meta.settle_s
             ));
             // One that cannot be laid on its clock tells nothing of the past either.
-            unscored.extend(track(rig, &entry.file, &entry.recording));
+            unscored.extend(track(rig, entry));
             continue;
         }
-        let track = track(rig, &entry.file, &entry.recording)?;
+        let track = track(rig, entry)?;
         let scored = track.present.iter().skip(track.settle).filter(|&&p| p).count();
         if scored < FEWEST_SAMPLES {
             return Err(Error::Recording {
-                file: entry.file.clone(),
+                file: entry.path.display().to_string(),
                 message: format!(
-                    "only {scored} samples after settle_s = {} s: expected at least {FEWEST_SAMPLES}",
-                    entry.recording.meta.settle_s
+                    "{scored} of {} samples can be scored: expected at least {FEWEST_SAMPLES} after settle_s = {} s (the first {} ms, \
+                     and as much after lost ticks, are not scored either)",
+                    entry.recording.len(),
+                    entry.recording.meta.settle_s,
+                    1.0e3 * RECOVERY_S
                 ),
             });
         }
@@ -113,8 +116,18 @@ pub fn tracks(rig: &Rig, session: &Session) -> Result<(Vec<Track>, Vec<String>),
     Ok((tracks, passed_over))
 }
 
-fn track(rig: &Rig, file: &str, recording: &Recording) -> Result<Track, Error> {
-    let bad = |message: String| Error::Recording { file: file.into(), message };
+fn track(rig: &Rig, entry: &Entry) -> Result<Track, Error> {
+    let recording = &entry.recording;
+    let bad =
+        |message: String| Error::Recording { file: entry.path.display().to_string(), message };
+    if !RATES_HZ.contains(&recording.meta.sample_rate_hz) {
+        return Err(bad(format!(
+            "sample_rate_hz: expected {} to {} samples a second, found {}",
+            RATES_HZ.start(),
+            RATES_HZ.end(),
+            recording.meta.sample_rate_hz
+        )));
+    }
     let axes = rig.axes.len();
     let extra = (axes..recording.axes()).find(|&axis| {
         recording.position_um[axis].is_some() || recording.drive_v[axis].iter().any(|&v| v != 0.0)
@@ -173,7 +186,7 @@ fn track(rig: &Rig, file: &str, recording: &Recording) -> Result<Track, Error> {
     let pick = |columns: &[Option<Vec<f32>>], axis: usize| columns.get(axis).and_then(spread);
     let closed_loop = recording.reference_um.iter().any(Option::is_some);
     Ok(Track {
-        file: file.into(),
+        file: entry.file.clone(),
         experiment: recording.meta.experiment.clone(),
         rate_hz: recording.meta.sample_rate_hz,
         start_s: recording.meta.start_s,

@@ -6,7 +6,7 @@
 //! | `past`, `memory` | what the stacks went through before a recording begins, and what of that nobody can know |
 //! | [`lead_in`] | what a single recording tells of that before it is scored |
 //! | [`floor`] | noise, measured |
-//! | [`pyramid`], `spectra` | residuals by bands; lines and resonances in their spectra |
+//! | [`pyramid`], `spectra`, `coherent` | residuals by bands; lines and resonances in their spectra; a line's frequency over the whole session |
 //! | [`split`] | which recordings are fitted, and which only score |
 //! | `motions` | simulates, and keeps motions that will be asked for again |
 //! | `work` | how much was simulated, and when that is enough |
@@ -15,6 +15,7 @@
 //! | [`energy`] | size of a gap in nanometres, with intervals |
 
 mod channel;
+pub(crate) mod coherent;
 pub mod energy;
 pub mod floor;
 pub mod intake;

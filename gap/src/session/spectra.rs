@@ -146,44 +146,6 @@ pub(crate) fn envelope(
     row.chunks(length).enumerate().map(of_block).collect()
 }
 
-/// Frequency near `hz` whose phase runs on over the whole session: single recordings are too short to tell it.
-pub(crate) fn coherent(scene: &Scene, raw: &Stack, kind: Kind, hz: f64) -> f64 {
-    const BLOCK_S: f64 = 0.1;
-    const REACH_HZ: f64 = 0.6;
-    let tau = std::f64::consts::TAU;
-    let axes = scene.position_noise.len();
-    let mut blocks: Vec<Vec<(f64, f64, f64)>> = vec![Vec::new(); axes];
-    let mut span = (f64::INFINITY, f64::NEG_INFINITY);
-    for (c, channel) in scene.channels.iter().enumerate() {
-        let Some(row) = raw[c].as_ref().filter(|_| channel.kind == kind) else { continue };
-        for block in envelope(scene, channel, row, hz, (BLOCK_S, |_| 1.0)) {
-            span = (span.0.min(block.time_s), span.1.max(block.time_s));
-            blocks[channel.axis].push((block.time_s, block.re, block.im));
-        }
-    }
-    let step = 1.0 / (8.0 * (span.1 - span.0).max(1.0));
-    let reach = (REACH_HZ / step) as i64;
-    (-reach..=reach)
-        .map(|k| {
-            let shift = k as f64 * step;
-            let power: f64 = blocks
-                .iter()
-                .map(|blocks| {
-                    let (mut re, mut im) = (0.0, 0.0);
-                    for &(t, x, y) in blocks {
-                        let (sin, cos) = (tau * shift * t).sin_cos();
-                        re += x * cos + y * sin;
-                        im += y * cos - x * sin;
-                    }
-                    re * re + im * im
-                })
-                .sum();
-            (hz + shift, power)
-        })
-        .max_by(|a, b| a.1.total_cmp(&b.1))
-        .map_or(hz, |(hz, _)| hz)
-}
-
 /// Slowest resonance that is looked for, Hz: what stands out below is a harmonic of a slow drive.
 const SLOWEST_MODE_HZ: f64 = 60.0;
 

@@ -83,7 +83,7 @@ pub fn session_of(
             Entry { path: file.clone().into(), file, recording }
         })
         .collect();
-    Session { recordings }
+    Session { recordings, ..Session::default() }
 }
 
 /// What is said of a case of the truth generator, which shares no code with the catalogue. `of`: what it was drawn for; the generator is

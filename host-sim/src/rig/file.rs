@@ -8,7 +8,9 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use super::{Amplifier, Axis, Mechanism, Monitor, Piezo, Rig, RigError, Sensor, Setting, validate};
+use super::{
+    Amplifier, Axis, Mechanism, Monitor, Piezo, Rig, RigError, Sensor, Setting, physical, validate,
+};
 use crate::effects::{self, Place, Role, Scope};
 
 #[derive(Serialize, Deserialize)]
@@ -84,7 +86,7 @@ impl Rig {
             read_effects(&mut rig, axis, table)
                 .map_err(|message| fail(format!("axis {}: effects.{message}", axis + 1)))?;
         }
-        validate::check(&rig).map_err(fail)?;
+        validate::check(&rig).and_then(|()| physical::check(&rig)).map_err(fail)?;
         Ok(rig)
     }
 
@@ -198,7 +200,7 @@ fn write_effects(rig: &Rig, axis: usize) -> Table {
         if let Place::Pair { from, .. } = setting.place {
             table.insert("from".into(), Value::Integer(from as i64 + 1));
         }
-        for (parameter, value) in info.parameters.iter().zip(&setting.values) {
+        for (parameter, value) in info.parameters.iter().zip(&physical::simulated(rig, setting)) {
             // A size at zero is what a missing key means; shapes are written, so that a change of default moves nothing.
             if parameter.role == Role::Shape || *value != parameter.zero {
                 table.insert(parameter.name.into(), Value::Float(*value));

@@ -6,6 +6,7 @@
 
 mod file;
 mod library;
+mod physical;
 mod settings;
 mod validate;
 

@@ -90,5 +90,5 @@ fn record(stage: &Rig, seed: u64) -> anyhow::Result<Session> {
         let file = format!("{experiment}.parquet");
         recordings.push(Entry { path: PathBuf::from(&file), file, recording });
     }
-    Ok(Session { recordings })
+    Ok(Session { recordings, ..Session::default() })
 }

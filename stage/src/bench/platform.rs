@@ -52,7 +52,7 @@ fn figure(
         recordings.push(simulated(&truth, *deflection_m, seed + index as u64)?);
     }
     let given = presets::named(name).context("a preset")?;
-    compare(book, title, &given, &Session { recordings }, Some(&truth))
+    compare(book, title, &given, &Session { recordings, ..Session::default() }, Some(&truth))
 }
 
 /// A free return by implicit steps, with noise.
@@ -83,7 +83,7 @@ fn compare(
     truth: Option<&PlatformRig>,
 ) -> anyhow::Result<()> {
     let start = Instant::now();
-    let outcome = gap::platform::diagnose(given, session)?;
+    let outcome = gap::platform::diagnose(given, session, &gap::Options::default())?;
     let seconds = start.elapsed().as_secs_f64();
     let one = gap::platform::identify(given, session)?.rig;
     let noise_um = outcome.diagnosis.gap.floor_nm / 1.0e3;
