@@ -20,6 +20,8 @@ use truth::effects::EFFECTS;
 use truth::faults::Kind;
 use truth::score::{Answer, Judged, Outcome, score, summarise};
 
+use crate::number::number;
+
 /// Options of `flexstage blind`.
 #[derive(clap::Args)]
 pub struct Args {
@@ -33,10 +35,10 @@ pub struct Args {
     #[arg(long, default_value_t = 0)]
     first: u64,
     /// Smallest gap, in multiples of the gauges' noise (rms over axes).
-    #[arg(long, default_value_t = 3.0)]
+    #[arg(long, default_value_t = 3.0, allow_negative_numbers = true, value_parser = number(0.001..=1.0e6, ""))]
     min_ratio: f64,
     /// Largest gap, in multiples of the gauges' noise.
-    #[arg(long, default_value_t = 60.0)]
+    #[arg(long, default_value_t = 60.0, allow_negative_numbers = true, value_parser = number(0.001..=1.0e6, ""))]
     max_ratio: f64,
     /// Kinds of sessions.
     #[arg(long, value_enum, default_value_t = SessionKind::Mixed)]
@@ -48,7 +50,13 @@ pub struct Args {
     #[arg(long)]
     without_monitor: bool,
     /// Weights of nulls, single effects, pairs and out-of-catalogue faults.
-    #[arg(long, value_delimiter = ',', default_value = "0.2,0.45,0.2,0.15")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "0.2,0.45,0.2,0.15",
+        allow_negative_numbers = true,
+        value_parser = number(0.0..=1.0e9, "")
+    )]
     weights: Vec<f64>,
     /// Draw only these effects (comma separated).
     #[arg(long, value_delimiter = ',')]
@@ -101,15 +109,14 @@ impl Args {
             bail!("--weights: expected four numbers, found {}", self.weights.len());
         };
         let weights = [null, single, pair, unknown];
-        if weights.iter().any(|weight| !(0.0..1e9).contains(weight))
-            || weights.iter().sum::<f64>() == 0.0
-        {
-            bail!("--weights: expected numbers of zero or more, not all zero, found {weights:?}");
+        if weights.iter().sum::<f64>() == 0.0 {
+            bail!("--weights: expected numbers that are not all zero, found {weights:?}");
         }
-        if !(self.min_ratio > 0.0 && self.max_ratio > self.min_ratio) {
+        if self.max_ratio <= self.min_ratio {
             bail!(
-                "--min-ratio: expected more than 0 and less than --max-ratio, found {}",
-                self.min_ratio
+                "--min-ratio {}: expected less than --max-ratio, found {} for that",
+                self.min_ratio,
+                self.max_ratio
             );
         }
         for name in &self.only {

@@ -18,6 +18,7 @@ mod flash;
 mod identify;
 mod import;
 mod measure;
+mod number;
 mod platform;
 mod probe;
 mod record;
@@ -81,7 +82,18 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let result = match Cli::parse().command {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => match number::line(&error) {
+            Some(line) => {
+                eprintln!("flexstage: {line}");
+                return ExitCode::from(2);
+            }
+            // Help and version as well: they end with status 0.
+            None => error.exit(),
+        },
+    };
+    let result = match cli.command {
         #[cfg(feature = "window")]
         Command::View(args) => view::run(args),
         Command::Devices(args) => devices::run(args),

@@ -12,8 +12,9 @@ use telemetry::measure::Frf;
 use telemetry::tune::LoopFigures;
 use telemetry::tune::study::{Applied, Level, Study, apply, distance, study, study_model};
 
-use crate::board::{BoardArgs, axis_index, on_interrupt, seconds_bar};
-use crate::measure::{bode, frf_json, margin_lines, prediction, trace};
+use crate::board::{BoardArgs, beyond, on_interrupt, seconds_bar};
+use crate::measure::{bode, frf_json, margin_lines, peak_volts, prediction, trace, volts};
+use crate::number::axis;
 
 /// Band in which prediction and measurement are compared, Hz.
 const BAND_HZ: f64 = 500.0;
@@ -24,13 +25,13 @@ pub struct Args {
     #[command(flatten)]
     board: BoardArgs,
     /// Axis, from 1.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = axis)]
     axis: usize,
     /// Voltage around which is measured.
-    #[arg(long, default_value_t = 45.0)]
+    #[arg(long, default_value_t = 45.0, allow_negative_numbers = true, value_parser = volts())]
     bias_v: f64,
     /// Peak of the excitation, V.
-    #[arg(long, default_value_t = 8.0)]
+    #[arg(long, default_value_t = 8.0, allow_negative_numbers = true, value_parser = peak_volts())]
     amplitude_v: f64,
     /// Tune on a rig file (from `identify` or `diagnose`) instead of a measurement of the stage; the feedforward is then the rig's.
     #[arg(long, value_name = "RIG.toml")]
@@ -51,7 +52,7 @@ pub struct Args {
 
 /// Run the command.
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let axis = axis_index(args.axis)?;
+    let axis = args.axis - 1;
     let model = args.model.as_deref().map(Rig::load).transpose()?;
     if let Some(path) = args.write.iter().chain(&args.out).find(|path| path.is_dir()) {
         anyhow::bail!("{}: expected a file to write, found a folder", path.display());
@@ -68,10 +69,11 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let study = match &model {
         Some(rig) => {
             let in_effect = crate::config::read(&device)?;
-            study_model(rig, &in_effect, axis, level, &stop, &mut progress)?
+            study_model(rig, &in_effect, axis, level, &stop, &mut progress)
         }
-        None => study(&device, axis, level, &stop, &mut progress)?,
+        None => study(&device, axis, level, &stop, &mut progress),
     };
+    let study = study.map_err(|error| beyond(error, "--bias-v, --amplitude-v"))?;
     let proposal = &study.proposal;
     bar.finish_and_clear();
     if !args.json {
