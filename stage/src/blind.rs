@@ -9,7 +9,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
-use anstream::println;
 use anyhow::{Context, bail};
 use host_sim::Rig;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -21,6 +20,9 @@ use truth::faults::Kind;
 use truth::score::{Answer, Judged, Outcome, score, summarise};
 
 use crate::number::number;
+use crate::say::say;
+
+mod options;
 
 /// Options of `flexstage blind`.
 #[derive(clap::Args)]
@@ -187,6 +189,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let plan = args.plan()?;
     let folder = args.write_only.as_ref().unwrap_or(&args.out).clone();
     fs::create_dir_all(&folder).with_context(|| format!("{}: cannot create", folder.display()))?;
+    args.keep(&folder)?;
     let answers = folder.join("answers");
     let bar = progress(plan.len(), "drawing")?;
     let draw = |planned: Planned| -> anyhow::Result<(Label, Option<&'static str>)> {
@@ -221,12 +224,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let (labels, excluded): (Vec<Label>, Vec<Option<&str>>) = drawn.into_iter().unzip();
     bar.finish_and_clear();
     let sealed = key(&labels);
-    println!(
-        "{} cases in {}; SHA-256 of the key: {}",
-        labels.len(),
-        folder.display(),
-        seal(&sealed)
-    );
+    say!("{} cases in {}; SHA-256 of the key: {}", labels.len(), folder.display(), seal(&sealed))?;
     write(&folder.join("key.sha256"), format!("{}\n", seal(&sealed)).as_bytes())?;
     if args.write_only.is_some() {
         return write(&folder.join("key.json"), sealed.as_bytes());
@@ -258,11 +256,13 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         let mark = if outcome.right { "right" } else { "WRONG" };
         let (truth, named) = (truth.join(" + "), outcome.named.join(" + "));
         bar.suspend(|| {
-            println!(
+            say!(
                 "{mark} {}: {truth} -> {} {named} ({:.1} s)",
-                label.id, outcome.verdict, outcome.seconds
-            );
-        });
+                label.id,
+                outcome.verdict,
+                outcome.seconds
+            )
+        })?;
         outcomes.push(outcome);
         bar.inc(1);
     }
@@ -274,15 +274,15 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     if args.leave_one_out {
         let right = outcomes.iter().filter(|outcome| outcome.right).count();
         let share = truth::score::Share::of(right, outcomes.len());
-        println!(
+        say!(
             "effect taken out of the catalogue, and nothing else blamed: {right} of {}",
             outcomes.len()
-        );
-        println!("95 % interval: {:.1} to {:.1} %", 100.0 * share.ci95.0, 100.0 * share.ci95.1);
+        )?;
+        say!("95 % interval: {:.1} to {:.1} %", 100.0 * share.ci95.0, 100.0 * share.ci95.1)?;
     } else {
-        print!("{}", summary.text());
+        crate::say::text(format_args!("{}", summary.text()))?;
     }
-    println!("{}", folder.join("blind.json").display());
+    say!("{}", folder.join("blind.json").display())?;
     Ok(())
 }
 

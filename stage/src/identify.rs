@@ -2,10 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use anstream::println;
 use anyhow::bail;
 use host_sim::{AnyRig, Rig};
 use recording::Session;
+
+use crate::say::say;
 
 /// Options of `flexstage identify`.
 #[derive(clap::Args)]
@@ -70,11 +71,11 @@ fn stage(rig: &Rig, args: &Args) -> anyhow::Result<()> {
         crate::diagnose::write_all(parent, &[(name, found.rig.to_toml())])?;
         for (axis, findings) in found.axes.iter().enumerate() {
             if let Some(findings) = findings {
-                println!("axis {}: {}", axis + 1, findings.line());
+                say!("axis {}: {}", axis + 1, findings.line())?;
             }
         }
         for note in &found.notes {
-            println!("{note}");
+            say!("{note}")?;
         }
         return Ok(());
     }
@@ -82,9 +83,9 @@ fn stage(rig: &Rig, args: &Args) -> anyhow::Result<()> {
     let found = gap::identify(rig, &session, &options)?;
     crate::diagnose::write_all(parent, &[(name, found.rig.to_toml())])?;
     for line in &found.lines {
-        println!("{line}");
+        say!("{line}")?;
     }
-    println!(
+    say!(
         "last third of every recording, not fitted: {:.2} nm -> {:.2} nm; everything: {:.2} nm -> \
          {:.2} nm; noise {:.2} nm",
         found.held_out_before_nm,
@@ -92,18 +93,22 @@ fn stage(rig: &Rig, args: &Args) -> anyhow::Result<()> {
         found.before_nm,
         found.after_nm,
         found.floor_nm
-    );
+    )?;
     if let Some(band) = &found.band {
-        println!(
+        say!(
             "this model follows the recordings below {:.0} Hz only, and was fitted there; the last third below {:.0} Hz: {:.2} nm -> \
              {:.2} nm; noise {:.2} nm",
-            band.below_hz, band.below_hz, band.before_nm, band.after_nm, band.floor_nm
-        );
+            band.below_hz,
+            band.below_hz,
+            band.before_nm,
+            band.after_nm,
+            band.floor_nm
+        )?;
     }
     if let Some(linear_nm) = found.held_out_linear_nm {
-        println!(
+        say!(
             "the same third with gains, offsets and lags alone, without slip elements: {linear_nm:.2} nm"
-        );
+        )?;
     }
     Ok(())
 }

@@ -23,6 +23,7 @@ mod platform;
 mod probe;
 mod record;
 mod replay;
+mod say;
 mod serve;
 mod status;
 mod tune;
@@ -107,13 +108,10 @@ fn main() -> ExitCode {
         Command::Flash(args) => flash::run(args),
         Command::Serve(args) => serve::run(args),
         Command::Completions { shell } => {
-            clap_complete::generate(
-                shell,
-                &mut Cli::command(),
-                "flexstage",
-                &mut std::io::stdout(),
-            );
-            Ok(())
+            // Into memory first: the generator panics where it cannot write.
+            let mut text = Vec::new();
+            clap_complete::generate(shell, &mut Cli::command(), "flexstage", &mut text);
+            say::text(format_args!("{}", String::from_utf8_lossy(&text)))
         }
         Command::Bench(args) => bench::run(args),
         Command::Replay(args) => replay::run(args),

@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use anstream::println;
 use report::plot::{Bode, LinePlot, Series};
 use report::{Report, Table};
 use serde_json::json;
@@ -13,6 +12,7 @@ use telemetry::measure::{Frf, margins::Margins};
 
 use crate::board::{BoardArgs, beyond, on_interrupt, seconds_bar};
 use crate::number::{axis, number};
+use crate::say::say;
 
 /// Options of `flexstage measure`.
 #[derive(clap::Args)]
@@ -247,14 +247,14 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     };
     bar.finish_and_clear();
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&json)?);
+        say!("{}", serde_json::to_string_pretty(&json)?)?;
     } else {
-        lines.iter().for_each(|line| println!("{line}"));
+        lines.iter().try_for_each(|line| say!("{line}"))?;
     }
     if let Some(path) = &args.out {
         page.write(path)?;
         if !args.json {
-            println!("{}", path.display());
+            say!("{}", path.display())?;
         }
     }
     Ok(())

@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
-use anstream::println;
 use anyhow::{Context, bail};
 use host_sim::platform::PlatformRig;
 use recording::{Recording, Session};
 
 use crate::diagnose::write_all;
+use crate::say::say;
 
 /// A free return of a platform says nothing about a stage, whatever its columns: refuse it.
 pub fn refuse_free_return(recording: &Recording, file: &Path) -> anyhow::Result<()> {
@@ -34,8 +34,8 @@ pub fn diagnose(rig: &PlatformRig, session: &Session, out: &Path) -> anyhow::Res
             ("report.html", outcome.report.to_html()),
         ],
     )?;
-    println!("{}", gap::sentence(&outcome.diagnosis));
-    println!("{}", out.join("report.html").display());
+    say!("{}", gap::sentence(&outcome.diagnosis))?;
+    say!("{}", out.join("report.html").display())?;
     Ok(())
 }
 
@@ -54,7 +54,7 @@ pub fn identify(
     let folder = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     write_all(folder, &[(name, found.rig.to_toml())])?;
     for line in &found.lines {
-        println!("{line}");
+        say!("{line}")?;
     }
     Ok(())
 }

@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
-use anstream::println;
 use serde_json::json;
 use telemetry::probe::{Experiment, LOWEST_MAX_V, Length, Options, plan};
 
 use crate::board::{BoardArgs, beyond, on_interrupt, seconds_bar};
 use crate::number::{axis, number};
+use crate::say::say;
 
 /// Options of `flexstage probe`.
 #[derive(clap::Args)]
@@ -74,13 +74,13 @@ pub fn run(args: Args) -> anyhow::Result<()> {
                     json!({"name": e.name, "seconds": e.total_s(), "low_v": low, "high_v": high})
                 })
                 .collect();
-            println!("{}", serde_json::to_string_pretty(&list)?);
+            say!("{}", serde_json::to_string_pretty(&list)?)?;
         } else {
             for e in &experiments {
                 let (low, high) = e.range_v();
-                println!("{:<28} {:6.1} s  {low:6.1} to {high:5.1} V", e.name, e.total_s());
+                say!("{:<28} {:6.1} s  {low:6.1} to {high:5.1} V", e.name, e.total_s())?;
             }
-            println!("{} recordings, {total_s:.0} s", experiments.len());
+            say!("{} recordings, {total_s:.0} s", experiments.len())?;
         }
         return Ok(());
     }
@@ -108,15 +108,15 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     bar.finish_and_clear();
     let report = report.map_err(|error| beyond(error, "--max-v"))?;
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
+        say!("{}", serde_json::to_string_pretty(&report)?)?;
     } else {
-        println!(
+        say!(
             "{}: {} recordings, {} ticks lost",
             report.folder.display(),
             report.files.len(),
             report.lost_ticks
-        );
-        println!("next: flexstage diagnose --rig RIG.toml {} --out OUT", report.folder.display());
+        )?;
+        say!("next: flexstage diagnose --rig RIG.toml {} --out OUT", report.folder.display())?;
     }
     Ok(())
 }

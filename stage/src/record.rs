@@ -4,11 +4,11 @@ use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use anstream::println;
 use telemetry::recorder::{Ended, Recorder};
 
 use crate::board::{BoardArgs, on_interrupt, seconds_bar};
 use crate::number::number;
+use crate::say::say;
 
 /// Options of `flexstage record`.
 #[derive(clap::Args)]
@@ -39,11 +39,11 @@ pub struct Args {
 pub fn run(args: Args) -> anyhow::Result<()> {
     if let Some(path) = &args.recover {
         let kept = recording::recover(path)?;
-        println!(
+        say!(
             "{}: {:.1} s recovered",
             path.display(),
             kept.span_ticks() as f64 / kept.meta.sample_rate_hz
-        );
+        )?;
         return Ok(());
     }
     let file = args.file.as_deref().unwrap_or_else(|| unreachable!("clap asks for it"));
@@ -64,15 +64,15 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     };
     bar.finish_and_clear();
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&progress)?);
+        say!("{}", serde_json::to_string_pretty(&progress)?)?;
     } else {
-        println!(
+        say!(
             "{}: {:.1} s, {} samples, {} ticks lost",
             progress.path.display(),
             progress.seconds,
             progress.rows,
             progress.lost_ticks
-        );
+        )?;
     }
     match progress.ended {
         Some(Ended::Stopped) | None => Ok(()),

@@ -1,9 +1,8 @@
 //! `flexstage tune`: measure, propose, show predicted beside measured, apply on confirmation.
 
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::path::PathBuf;
 
-use anstream::println;
 use anyhow::Context;
 use host_sim::Rig;
 use report::{Report, Table};
@@ -15,6 +14,7 @@ use telemetry::tune::study::{Applied, Level, Study, apply, distance, study, stud
 use crate::board::{BoardArgs, beyond, on_interrupt, seconds_bar};
 use crate::measure::{bode, frf_json, margin_lines, peak_volts, prediction, trace, volts};
 use crate::number::axis;
+use crate::say::say;
 
 /// Band in which prediction and measurement are compared, Hz.
 const BAND_HZ: f64 = 500.0;
@@ -77,10 +77,10 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let proposal = &study.proposal;
     bar.finish_and_clear();
     if !args.json {
-        println!("axis {}: {}", args.axis, proposal.changes.join("\n        "));
-        println!("now        {}", figures(&proposal.before));
-        println!("predicted  {}", figures(&proposal.predicted));
-        println!("           {}", closed_words(&study.closed_predicted));
+        say!("axis {}: {}", args.axis, proposal.changes.join("\n        "))?;
+        say!("now        {}", figures(&proposal.before))?;
+        say!("predicted  {}", figures(&proposal.predicted))?;
+        say!("           {}", closed_words(&study.closed_predicted))?;
     }
     if let Some(path) = &args.write {
         std::fs::write(path, toml::to_string_pretty(&proposal.settings)?)
@@ -92,14 +92,15 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         let applied = apply(&device, &study, &stop, &mut progress)?;
         bar.finish_and_clear();
         if !args.json {
-            println!(
+            say!(
                 "applied    settings {:08x} from tick {}, not saved (`flexstage config save`)",
-                applied.digest, applied.tick
-            );
-            println!("measured   {}", margin_lines(&applied.after.margins).join("; "));
-            println!("           {}", closed_words(&applied.closed));
+                applied.digest,
+                applied.tick
+            )?;
+            say!("measured   {}", margin_lines(&applied.after.margins).join("; "))?;
+            say!("           {}", closed_words(&applied.closed))?;
             if let Some(words) = agreement(&study, &applied) {
-                println!("           {words}");
+                say!("           {words}")?;
             }
         }
         Some(applied)
@@ -119,7 +120,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             "prediction_off": applied.as_ref().and_then(|a| distance(&study.closed_predicted, &a.closed, BAND_HZ)),
             "applied": is_wanted,
         });
-        println!("{}", serde_json::to_string_pretty(&out)?);
+        say!("{}", serde_json::to_string_pretty(&out)?)?;
     }
     if let Some(path) = &args.out {
         page(&study, applied.as_ref())
@@ -203,11 +204,10 @@ fn figures(f: &LoopFigures) -> String {
 
 fn confirm() -> anyhow::Result<bool> {
     if !std::io::stdin().is_terminal() {
-        println!("not applied: no terminal to confirm at (use --apply)");
+        say!("not applied: no terminal to confirm at (use --apply)")?;
         return Ok(false);
     }
-    print!("apply? [y/N] ");
-    std::io::stdout().flush()?;
+    crate::say::text(format_args!("apply? [y/N] "))?;
     let mut answer = String::new();
     std::io::stdin().read_line(&mut answer)?;
     Ok(answer.trim().eq_ignore_ascii_case("y"))

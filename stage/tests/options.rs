@@ -61,3 +61,64 @@ fn numbers_that_cannot_be() {
     }
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "nothing is left behind");
 }
+
+#[test]
+fn blind_cases_of_other_options_are_not_taken_for_these() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("set");
+    let out = text(&out);
+    let blind =
+        |options: &[&str]| run(&[&["blind", "--cases", "0", "--out", out][..], options].concat());
+    ok(blind(&["--seed", "5"]));
+    // The same again, of any number of cases, goes on.
+    ok(blind(&["--seed", "5"]));
+    ok(run(&["blind", "--cases", "1", "--seed", "5", "--write-only", out]));
+    for (options, words) in [
+        (&["--seed", "6"][..], ["--seed 5, not 6", "--out"]),
+        (&["--seed", "5", "--other-rigs"], ["--other-rigs false, not true", "choose another"]),
+        (&["--seed", "5", "--weights", "0,1,0,0"], ["--weights", "choose another"]),
+        (&["--seed", "5", "--only", "creep"], ["--only []", "choose another"]),
+        (&["--seed", "5", "--leave-one-out"], ["--leave-one-out", "choose another"]),
+    ] {
+        let said = refused(blind(options));
+        for word in words {
+            assert!(said.contains(word), "{options:?}: `{word}` expected in {said}");
+        }
+    }
+    // Cases from before options were kept.
+    std::fs::remove_file(folder.path().join("set/options.json")).unwrap();
+    assert!(refused(blind(&["--seed", "5"])).contains("unknown options"));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_standard_output_that_takes_nothing_is_no_crash() {
+    use std::process::Stdio;
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("b0");
+    let commands: &[&[&str]] = &[
+        &["config", "--virtual", "get", "--toml"],
+        &["config", "--virtual", "get"],
+        &["status", "--virtual", "--json"],
+        &["completions", "bash"],
+        &["blind", "--cases", "0", "--out", text(&out)],
+        &["probe", "x", "--dry-run"],
+    ];
+    for arguments in commands {
+        let mut child = common::flexstage()
+            .args(*arguments)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        drop(child.stdout.take());
+        let left = child.wait_with_output().unwrap();
+        let words = String::from_utf8_lossy(&left.stderr).into_owned();
+        assert!(left.status.success() && words.is_empty(), "{arguments:?}: {words}");
+        // There where the system has a device that is always full.
+        if let Ok(full) = std::fs::OpenOptions::new().write(true).open("/dev/full") {
+            let full = common::flexstage().args(*arguments).stdout(full).output().unwrap();
+            assert!(refused(full).contains("standard output"), "{arguments:?}");
+        }
+    }
+}
