@@ -30,10 +30,7 @@ pub struct Args {
 
 /// Run the command.
 pub fn run(args: Args) -> anyhow::Result<()> {
-    // Before the work, not after it.
-    if args.out.is_dir() {
-        bail!("{}: expected a file for the calibrated rig, found a folder", args.out.display());
-    }
+    crate::output::file_in_new_folders(&args.out)?;
     match AnyRig::load(&args.rig)? {
         AnyRig::Platform(_) if args.for_control => {
             bail!(

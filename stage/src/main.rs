@@ -19,6 +19,7 @@ mod identify;
 mod import;
 mod measure;
 mod number;
+mod output;
 mod platform;
 mod probe;
 mod record;

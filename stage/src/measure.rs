@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use anyhow::Context;
 use report::plot::{Bode, LinePlot, Series};
 use report::{Report, Table};
 use serde_json::json;
@@ -121,6 +122,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             "--from-um {from_um}, --to-um {to_um}: expected two positions, found one"
         );
     }
+    args.out.iter().try_for_each(|path| crate::output::file(path))?;
     let device = args.board.open()?;
     let stop = on_interrupt()?;
     let bar = seconds_bar(0.0);
@@ -252,7 +254,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         lines.iter().try_for_each(|line| say!("{line}"))?;
     }
     if let Some(path) = &args.out {
-        page.write(path)?;
+        page.write(path).with_context(|| format!("{}: cannot write", path.display()))?;
         if !args.json {
             say!("{}", path.display())?;
         }

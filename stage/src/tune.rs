@@ -54,9 +54,7 @@ pub struct Args {
 pub fn run(args: Args) -> anyhow::Result<()> {
     let axis = args.axis - 1;
     let model = args.model.as_deref().map(Rig::load).transpose()?;
-    if let Some(path) = args.write.iter().chain(&args.out).find(|path| path.is_dir()) {
-        anyhow::bail!("{}: expected a file to write, found a folder", path.display());
-    }
+    args.write.iter().chain(&args.out).try_for_each(|path| crate::output::file(path))?;
     let device = args.board.open()?;
     let stop = on_interrupt()?;
     let bar = seconds_bar(0.0);

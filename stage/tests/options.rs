@@ -122,3 +122,26 @@ fn a_standard_output_that_takes_nothing_is_no_crash() {
         }
     }
 }
+
+#[test]
+fn files_that_cannot_be_written_are_refused_before_the_work() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| text(&folder.path().join(name)).to_owned();
+    let rig = path("rig.toml");
+    std::fs::write(&rig, host_sim::Rig::named("handley").unwrap().to_toml()).unwrap();
+    let (nowhere, below, session) = (path("no/x.html"), path("rig.toml/x"), path("session"));
+    let board = common::Board::start(&[]);
+    let before = ok(board.run(&["config", "get"]));
+    for arguments in [
+        ["tune", "--model", &rig, "--apply", "--out", &nowhere],
+        ["tune", "--model", &rig, "--apply", "--write", &below],
+        ["measure", "noise", "--seconds", "3600", "--out", &nowhere],
+    ] {
+        let said = refused(board.run(&arguments));
+        assert!(said.contains(arguments[5]) && said.contains("expected a folder"), "{said}");
+    }
+    assert_eq!(ok(board.run(&["config", "get"])), before, "nothing was applied");
+    // The session is not even looked for.
+    let said = refused(run(&["identify", "--rig", &rig, &session, "--out", &below]));
+    assert!(said.contains(&below) && said.contains("found a file"), "{said}");
+}
