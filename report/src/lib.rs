@@ -187,11 +187,11 @@ fn figure_markup(figure: &dyn Figure, caption: &str) -> Markup {
 fn words(text: &str) -> Markup {
     let parts: Vec<&str> = text.split('`').collect();
     // One without its partner is meant as it is.
-    if parts.len() % 2 == 0 {
+    if parts.len().is_multiple_of(2) {
         return html! { (text) };
     }
     html! { @for (i, part) in parts.into_iter().enumerate() {
-        @if i % 2 == 0 { (part) } @else { code { (part) } }
+        @if i.is_multiple_of(2) { (part) } @else { code { (part) } }
     } }
 }
 
