@@ -19,10 +19,10 @@ pub struct Cuts {
     pub axis: Vec<f64>,
     /// Band centre (Hz; 0: mean) and energy of each axis there.
     pub band: Vec<(f64, Vec<f64>)>,
-    /// Drive level (V, lower edge of a bin of a tenth of the range) and root mean square residual, nm, of each axis.
-    pub level: Vec<(f64, Vec<f64>)>,
-    /// Root mean square residual (nm) while the drive rises, falls, and stands still.
-    pub direction: [f64; 3],
+    /// Drive level (V, lower edge of a bin of a tenth of the range) and root mean square residual, nm, of each axis that was there.
+    pub level: Vec<(f64, Vec<Option<f64>>)>,
+    /// Root mean square residual (nm) while the drive rises, falls, and stands still, where it does.
+    pub direction: [Option<f64>; 3],
     /// Seconds since the drive last jumped (decade bins) and root mean square residual, nm.
     pub since_step: Vec<(f64, f64)>,
 }
@@ -88,7 +88,6 @@ pub fn cuts(scene: &Scene, raw: &Stack, white: &Stack) -> Cuts {
             }
         }
     }
-    let rms = |(energy, count): (f64, f64)| if count > 0.0 { (energy / count).sqrt() } else { 0.0 };
     cuts.band = bands.into_values().collect();
     cuts.level = levels
         .into_iter()
@@ -97,9 +96,14 @@ pub fn cuts(scene: &Scene, raw: &Stack, white: &Stack) -> Cuts {
     cuts.direction = direction.map(rms);
     cuts.since_step = since
         .into_iter()
-        .map(|(decade, cell)| (10.0_f64.powf(decade as f64 / 2.0), rms(cell)))
+        .filter_map(|(decade, cell)| Some((10.0_f64.powf(decade as f64 / 2.0), rms(cell)?)))
         .collect();
     cuts
+}
+
+/// Root mean square of an energy over a number of samples: none is no gap of zero.
+fn rms((energy, count): (f64, f64)) -> Option<f64> {
+    (count > 0.0).then(|| (energy / count).sqrt())
 }
 
 /// Share of the position gap of each axis that comes with the drive and amplifier, from the monitors: how much of the
@@ -298,4 +302,14 @@ pub(crate) fn locations(
     }
     out.sort_by(|a, b| b.share.total_cmp(&a.share));
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bin_without_samples_has_no_gap() {
+        assert_eq!([(0.0, 0.0), (0.0, 3.0), (12.0, 3.0)].map(rms), [None, Some(0.0), Some(2.0)]);
+    }
 }

@@ -125,8 +125,11 @@ fn location(page: Report, f: &Findings) -> Report {
     page = page.figures(figures);
     let mut level = LinePlot::new("By drive level").x("drive (V)").y("rms gap (nm)");
     for a in 0..axes {
-        let points = f.cuts.level.iter().map(|(v, rms)| (*v, rms[a])).collect();
-        level = level.series(Series::line(format!("axis {}", a + 1), points));
+        let points: Vec<_> =
+            f.cuts.level.iter().filter_map(|(v, rms)| Some((*v, rms[a]?))).collect();
+        // An axis at one level all the time is a point, of which no line would be seen.
+        let series = if points.len() == 1 { Series::points } else { Series::line };
+        level = level.series(series(format!("axis {}", a + 1), points).color(a));
     }
     let mut since = LinePlot::new("By time since the last step")
         .x("time since the step (s)")
@@ -134,11 +137,8 @@ fn location(page: Report, f: &Findings) -> Report {
         .log_x();
     since = since.series(Series::line("before", f.cuts.since_step.clone()));
     since = since.series(Series::line("after", f.cuts_after.since_step.clone()));
-    let [up, down, still] = f.cuts.direction;
-    let mut figures: Vec<(Box<dyn Figure>, String)> = vec![(
-        Box::new(level),
-        format!("Rising drive {up:.1} nm, falling {down:.1} nm, standing still {still:.1} nm."),
-    )];
+    let mut figures: Vec<(Box<dyn Figure>, String)> =
+        vec![(Box::new(level), by_direction(f.cuts.direction))];
     if f.cuts.since_step.len() > 2 {
         figures.push((
             Box::new(since),
@@ -146,6 +146,14 @@ fn location(page: Report, f: &Findings) -> Report {
         ));
     }
     page.figures(figures)
+}
+
+/// The gap while the drive goes each way, in words; a way that it never goes is not said.
+fn by_direction(gap_nm: [Option<f64>; 3]) -> String {
+    let ways = ["rises", "falls", "stands still"].into_iter().zip(gap_nm);
+    let said: Vec<String> =
+        ways.filter_map(|(way, nm)| Some(format!("{way} {:.1} nm", nm?))).collect();
+    format!("Gap while the drive {}.", said.join(", "))
 }
 
 /// Most instructive position channel: the largest gap, held out if that loses little.
@@ -391,4 +399,17 @@ fn recordings(page: Report, f: &Findings) -> Report {
         ]);
     }
     page.section("Recordings").table(table)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_drive_that_never_stands_has_no_gap_there() {
+        assert_eq!(
+            by_direction([Some(2.04), Some(3.0), None]),
+            "Gap while the drive rises 2.0 nm, falls 3.0 nm."
+        );
+    }
 }

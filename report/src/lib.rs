@@ -93,10 +93,10 @@ impl Report {
         self
     }
 
-    /// A paragraph of plain text.
+    /// A paragraph of plain text; what stands between backticks is set as code, here and in captions.
     #[must_use]
     pub fn paragraph(mut self, text: impl AsRef<str>) -> Self {
-        self.body.push(html! { p { (text.as_ref()) } });
+        self.body.push(html! { p { (words(text.as_ref())) } });
         self
     }
 
@@ -135,7 +135,7 @@ impl Report {
     ) -> Self {
         self.body.push(html! { details {
             summary { (summary.as_ref()) }
-            @for line in lines { p { (line.as_ref()) } }
+            @for line in lines { p { (words(line.as_ref())) } }
         } });
         self
     }
@@ -153,7 +153,7 @@ impl Report {
                 }
                 body {
                     h1 { (self.title) }
-                    @if let Some(verdict) = &self.verdict { p.verdict { (verdict) } }
+                    @if let Some(verdict) = &self.verdict { p.verdict { (words(verdict)) } }
                     @for part in &self.body { (part) }
                 }
             }
@@ -180,12 +180,32 @@ impl Report {
 }
 
 fn figure_markup(figure: &dyn Figure, caption: &str) -> Markup {
-    html! { figure { (PreEscaped(figure.svg())) figcaption { (caption) } } }
+    html! { figure { (PreEscaped(figure.svg())) figcaption { (words(caption)) } } }
+}
+
+/// Text in which pairs of backticks set code: sentences are shared with the terminal, where they are what readers know.
+fn words(text: &str) -> Markup {
+    let parts: Vec<&str> = text.split('`').collect();
+    // One without its partner is meant as it is.
+    if parts.len().is_multiple_of(2) {
+        return html! { (text) };
+    }
+    html! { @for (i, part) in parts.into_iter().enumerate() {
+        @if i.is_multiple_of(2) { (part) } @else { code { (part) } }
+    } }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn backticks_set_code() {
+        let html = Report::new("r").paragraph("`mean` and `a < b`; it`s").paragraph("run `x -y`.");
+        let html = html.to_html();
+        assert!(html.contains("run <code>x -y</code>."), "{html}");
+        assert!(html.contains("`mean` and `a &lt; b`; it`s"), "{html}");
+    }
 
     #[test]
     fn text_is_escaped() {

@@ -9,7 +9,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
-use anstream::println;
 use anyhow::{Context, bail};
 use host_sim::Rig;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -19,6 +18,11 @@ use truth::case::{Case, Draw, Label, Sessions, key, seal};
 use truth::effects::EFFECTS;
 use truth::faults::Kind;
 use truth::score::{Answer, Judged, Outcome, score, summarise};
+
+use crate::number::number;
+use crate::say::say;
+
+mod options;
 
 /// Options of `flexstage blind`.
 #[derive(clap::Args)]
@@ -33,10 +37,10 @@ pub struct Args {
     #[arg(long, default_value_t = 0)]
     first: u64,
     /// Smallest gap, in multiples of the gauges' noise (rms over axes).
-    #[arg(long, default_value_t = 3.0)]
+    #[arg(long, default_value_t = 3.0, allow_negative_numbers = true, value_parser = number(0.001..=1.0e6, ""))]
     min_ratio: f64,
     /// Largest gap, in multiples of the gauges' noise.
-    #[arg(long, default_value_t = 60.0)]
+    #[arg(long, default_value_t = 60.0, allow_negative_numbers = true, value_parser = number(0.001..=1.0e6, ""))]
     max_ratio: f64,
     /// Kinds of sessions.
     #[arg(long, value_enum, default_value_t = SessionKind::Mixed)]
@@ -48,7 +52,13 @@ pub struct Args {
     #[arg(long)]
     without_monitor: bool,
     /// Weights of nulls, single effects, pairs and out-of-catalogue faults.
-    #[arg(long, value_delimiter = ',', default_value = "0.2,0.45,0.2,0.15")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "0.2,0.45,0.2,0.15",
+        allow_negative_numbers = true,
+        value_parser = number(0.0..=1.0e9, "")
+    )]
     weights: Vec<f64>,
     /// Draw only these effects (comma separated).
     #[arg(long, value_delimiter = ',')]
@@ -101,15 +111,14 @@ impl Args {
             bail!("--weights: expected four numbers, found {}", self.weights.len());
         };
         let weights = [null, single, pair, unknown];
-        if weights.iter().any(|weight| !(0.0..1e9).contains(weight))
-            || weights.iter().sum::<f64>() == 0.0
-        {
-            bail!("--weights: expected numbers of zero or more, not all zero, found {weights:?}");
+        if weights.iter().sum::<f64>() == 0.0 {
+            bail!("--weights: expected numbers that are not all zero, found {weights:?}");
         }
-        if !(self.min_ratio > 0.0 && self.max_ratio > self.min_ratio) {
+        if self.max_ratio <= self.min_ratio {
             bail!(
-                "--min-ratio: expected more than 0 and less than --max-ratio, found {}",
-                self.min_ratio
+                "--min-ratio {}: expected less than --max-ratio, found {} for that",
+                self.min_ratio,
+                self.max_ratio
             );
         }
         for name in &self.only {
@@ -180,6 +189,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let plan = args.plan()?;
     let folder = args.write_only.as_ref().unwrap_or(&args.out).clone();
     fs::create_dir_all(&folder).with_context(|| format!("{}: cannot create", folder.display()))?;
+    args.keep(&folder)?;
     let answers = folder.join("answers");
     let bar = progress(plan.len(), "drawing")?;
     let draw = |planned: Planned| -> anyhow::Result<(Label, Option<&'static str>)> {
@@ -214,12 +224,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let (labels, excluded): (Vec<Label>, Vec<Option<&str>>) = drawn.into_iter().unzip();
     bar.finish_and_clear();
     let sealed = key(&labels);
-    println!(
-        "{} cases in {}; SHA-256 of the key: {}",
-        labels.len(),
-        folder.display(),
-        seal(&sealed)
-    );
+    say!("{} cases in {}; SHA-256 of the key: {}", labels.len(), folder.display(), seal(&sealed))?;
     write(&folder.join("key.sha256"), format!("{}\n", seal(&sealed)).as_bytes())?;
     if args.write_only.is_some() {
         return write(&folder.join("key.json"), sealed.as_bytes());
@@ -251,11 +256,13 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         let mark = if outcome.right { "right" } else { "WRONG" };
         let (truth, named) = (truth.join(" + "), outcome.named.join(" + "));
         bar.suspend(|| {
-            println!(
+            say!(
                 "{mark} {}: {truth} -> {} {named} ({:.1} s)",
-                label.id, outcome.verdict, outcome.seconds
-            );
-        });
+                label.id,
+                outcome.verdict,
+                outcome.seconds
+            )
+        })?;
         outcomes.push(outcome);
         bar.inc(1);
     }
@@ -267,15 +274,15 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     if args.leave_one_out {
         let right = outcomes.iter().filter(|outcome| outcome.right).count();
         let share = truth::score::Share::of(right, outcomes.len());
-        println!(
+        say!(
             "effect taken out of the catalogue, and nothing else blamed: {right} of {}",
             outcomes.len()
-        );
-        println!("95 % interval: {:.1} to {:.1} %", 100.0 * share.ci95.0, 100.0 * share.ci95.1);
+        )?;
+        say!("95 % interval: {:.1} to {:.1} %", 100.0 * share.ci95.0, 100.0 * share.ci95.1)?;
     } else {
-        print!("{}", summary.text());
+        crate::say::text(format_args!("{}", summary.text()))?;
     }
-    println!("{}", folder.join("blind.json").display());
+    say!("{}", folder.join("blind.json").display())?;
     Ok(())
 }
 

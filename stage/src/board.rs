@@ -78,8 +78,10 @@ pub fn seconds_bar(total_s: f64) -> ProgressBar {
     bar
 }
 
-/// Axis numbers from 1 as indices from 0.
-pub fn axis_index(axis: usize) -> anyhow::Result<usize> {
-    anyhow::ensure!((1..=telemetry::AXES).contains(&axis), "--axis {axis}: expected 1 to 3");
-    Ok(axis - 1)
+/// A level beyond the board's limits is said with the options that choose it.
+pub fn beyond(error: telemetry::Error, options: &str) -> anyhow::Error {
+    match error {
+        telemetry::Error::Beyond(words) => anyhow::anyhow!("{options}: {words}"),
+        other => other.into(),
+    }
 }

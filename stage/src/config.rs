@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use anstream::println;
 use anyhow::{Context, bail};
 use flexstage::link::message::{Command, Reply};
 use flexstage::{Config, Settings};
@@ -10,6 +9,7 @@ use telemetry::Device;
 use toml::Value;
 
 use crate::board::BoardArgs;
+use crate::say::say;
 
 /// Options of `flexstage config`.
 #[derive(clap::Args)]
@@ -61,8 +61,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let tree = Value::try_from(&settings)?;
     match args.action {
         Action::Get { toml: true, .. } => {
-            print!("{}", toml::to_string_pretty(&settings)?);
-            Ok(())
+            crate::say::text(format_args!("{}", toml::to_string_pretty(&settings)?))
         }
         Action::Get { name, .. } => {
             let value = match &name {
@@ -88,12 +87,9 @@ pub fn run(args: Args) -> anyhow::Result<()> {
                 bail!("the board did not say what took effect");
             };
             if args.json {
-                println!(
-                    "{}",
-                    serde_json::json!({"tick": tick, "digest": format!("{digest:08x}")})
-                );
+                say!("{}", serde_json::json!({"tick": tick, "digest": format!("{digest:08x}")}))?;
             } else {
-                println!("settings {digest:08x} act from tick {tick}");
+                say!("settings {digest:08x} act from tick {tick}")?;
             }
             if save { save_to_flash(&device, args.json) } else { Ok(()) }
         }
@@ -103,12 +99,12 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             let mut lines = Vec::new();
             differences(&tree, &other, String::new(), &mut lines);
             if args.json {
-                println!("{}", serde_json::to_string_pretty(&lines)?);
+                say!("{}", serde_json::to_string_pretty(&lines)?)?;
             } else if lines.is_empty() {
-                println!("board and file agree");
+                say!("board and file agree")?;
             } else {
                 for (name, board, file) in lines {
-                    println!("{name}: board {board}, file {file}");
+                    say!("{name}: board {board}, file {file}")?;
                 }
             }
             Ok(())
@@ -129,9 +125,9 @@ fn save_to_flash(device: &Device, json: bool) -> anyhow::Result<()> {
         bail!("the board did not confirm the save");
     };
     if json {
-        println!("{}", serde_json::json!({"version": version, "slot": slot}));
+        say!("{}", serde_json::json!({"version": version, "slot": slot}))?;
     } else {
-        println!("saved as number {version} in slot {slot}");
+        say!("saved as number {version} in slot {slot}")?;
     }
     Ok(())
 }
@@ -209,12 +205,12 @@ fn single(value: &Value) -> String {
 
 fn print(name: Option<&str>, value: &Value, json: bool) -> anyhow::Result<()> {
     if json {
-        println!("{}", serde_json::to_string_pretty(value)?);
+        say!("{}", serde_json::to_string_pretty(value)?)?;
     } else {
         let mut lines = Vec::new();
         flatten(value, name.unwrap_or_default().to_owned(), &mut lines);
         for (name, value) in lines {
-            println!("{name} = {value}");
+            say!("{name} = {value}")?;
         }
     }
     Ok(())

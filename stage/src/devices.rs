@@ -1,7 +1,8 @@
 //! `flexstage devices`: boards on USB.
 
-use anstream::println;
 use telemetry::transport::list_usb;
+
+use crate::say::say;
 
 /// Options of `flexstage devices`.
 #[derive(clap::Args)]
@@ -15,12 +16,12 @@ pub struct Args {
 pub fn run(args: Args) -> anyhow::Result<()> {
     let boards = list_usb()?;
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&boards)?);
+        say!("{}", serde_json::to_string_pretty(&boards)?)?;
     } else if boards.is_empty() {
-        println!("no board on USB; `--virtual` and `--connect ADDR` need none");
+        say!("no board on USB; `--virtual` and `--connect ADDR` need none")?;
     } else {
         for b in boards {
-            println!("{}  {}  bus {} address {}", b.serial, b.product, b.bus, b.address);
+            say!("{}  {}  bus {} address {}", b.serial, b.product, b.bus, b.address)?;
         }
     }
     Ok(())

@@ -2,10 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use anstream::println;
 use anyhow::bail;
 use host_sim::AnyRig;
 use recording::Session;
+
+use crate::say::say;
 
 /// Options of `flexstage diagnose`.
 #[derive(clap::Args)]
@@ -61,11 +62,11 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     json.push('\n');
     let [json_name, rig_name, report_name] = ANSWER;
     write_all(&args.out, &[(json_name, json), (rig_name, rig), (report_name, report.to_html())])?;
-    println!("{}", gap::sentence(&diagnosis));
+    say!("{}", gap::sentence(&diagnosis))?;
     for note in &session.notes {
-        println!("{note}");
+        say!("{note}")?;
     }
-    println!("{}", args.out.join(report_name).display());
+    say!("{}", args.out.join(report_name).display())?;
     Ok(())
 }
 

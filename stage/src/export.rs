@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 
-use anstream::println;
 use recording::Recording;
+
+use crate::say::say;
 
 /// Options of `flexstage export`.
 #[derive(clap::Args)]
@@ -30,6 +31,6 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         None => Recording::read(&args.from)?,
     };
     recording.write(&args.to)?;
-    println!("{}: {} samples", args.to.display(), recording.len());
+    say!("{}: {} samples", args.to.display(), recording.len())?;
     Ok(())
 }

@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 use std::process::Command as Process;
 
-use anstream::println;
 use anyhow::{Context, bail};
 use flexstage::link::message::Command;
 
 use crate::board::BoardArgs;
+use crate::say::say;
 
 /// Options of `flexstage flash`.
 #[derive(clap::Args)]
@@ -54,11 +54,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     }
     if !args.in_loader {
         let device = args.board.open()?;
-        println!(
-            "{}: firmware {} goes into its loader",
-            device.info().name,
-            device.info().firmware
-        );
+        say!("{}: firmware {} goes into its loader", device.info().name, device.info().firmware)?;
         device.command(Command::RebootToDfu)?;
         device.close();
         std::thread::sleep(std::time::Duration::from_secs(2));

@@ -2,12 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use anstream::println;
 use anyhow::bail;
 use host_sim::{AnyRig, Rig};
 use recording::Session;
 
 use crate::diagnose::{inputs, no_input};
+use crate::say::say;
 
 /// Options of `flexstage identify`.
 #[derive(clap::Args)]
@@ -32,9 +32,7 @@ pub struct Args {
 /// Run the command.
 pub fn run(args: Args) -> anyhow::Result<()> {
     // Before the work, not after it.
-    if args.out.is_dir() {
-        bail!("{}: expected a file for the calibrated rig, found a folder", args.out.display());
-    }
+    crate::output::file_in_new_folders(&args.out)?;
     recording::check_target(&args.out)?;
     let Some(name) = args.out.file_name().and_then(|n| n.to_str()) else {
         bail!("{}: expected a file name for the calibrated rig", args.out.display());
@@ -55,7 +53,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         AnyRig::Stage(rig) => stage(&rig, &session, args.for_control, (parent, name))?,
     }
     for note in &session.notes {
-        println!("{note}");
+        say!("{note}")?;
     }
     Ok(())
 }
@@ -82,11 +80,11 @@ fn stage(
         crate::diagnose::write_all(parent, &[(name, found.rig.to_toml())])?;
         for (axis, findings) in found.axes.iter().enumerate() {
             if let Some(findings) = findings {
-                println!("axis {}: {}", axis + 1, findings.line());
+                say!("axis {}: {}", axis + 1, findings.line())?;
             }
         }
         for note in &found.notes {
-            println!("{note}");
+            say!("{note}")?;
         }
         return Ok(());
     }
@@ -94,9 +92,9 @@ fn stage(
     let found = gap::identify(rig, session, &options)?;
     crate::diagnose::write_all(parent, &[(name, found.rig.to_toml())])?;
     for line in &found.lines {
-        println!("{line}");
+        say!("{line}")?;
     }
-    println!(
+    say!(
         "last third of every recording, not fitted: {:.2} nm -> {:.2} nm; everything: {:.2} nm -> \
          {:.2} nm; noise {:.2} nm",
         found.held_out_before_nm,
@@ -104,18 +102,22 @@ fn stage(
         found.before_nm,
         found.after_nm,
         found.floor_nm
-    );
+    )?;
     if let Some(band) = &found.band {
-        println!(
+        say!(
             "this model follows the recordings below {:.0} Hz only, and was fitted there; the last third below {:.0} Hz: {:.2} nm -> \
              {:.2} nm; noise {:.2} nm",
-            band.below_hz, band.below_hz, band.before_nm, band.after_nm, band.floor_nm
-        );
+            band.below_hz,
+            band.below_hz,
+            band.before_nm,
+            band.after_nm,
+            band.floor_nm
+        )?;
     }
     if let Some(linear_nm) = found.held_out_linear_nm {
-        println!(
+        say!(
             "the same third with gains, offsets and lags alone, without slip elements: {linear_nm:.2} nm"
-        );
+        )?;
     }
     Ok(())
 }

@@ -7,11 +7,12 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anstream::println;
 use anyhow::{Context, bail, ensure};
 use ndarray::{ArrayD, Axis, IxDyn};
 use ndarray_npy::ReadNpyExt;
 use recording::{Meta, Recording, Together};
+
+use crate::say::say;
 
 /// Options of `flexstage import`.
 #[derive(clap::Args)]
@@ -107,7 +108,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     }
     together.publish()?;
     for (recording, path) in recordings.iter().zip(&paths) {
-        println!("{}: {} samples, {} axes", path.display(), recording.len(), recording.axes());
+        say!("{}: {} samples, {} axes", path.display(), recording.len(), recording.axes())?;
     }
     Ok(())
 }

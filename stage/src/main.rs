@@ -18,10 +18,13 @@ mod flash;
 mod identify;
 mod import;
 mod measure;
+mod number;
+mod output;
 mod platform;
 mod probe;
 mod record;
 mod replay;
+mod say;
 mod serve;
 mod status;
 mod tune;
@@ -81,7 +84,18 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let result = match Cli::parse().command {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => match number::line(&error) {
+            Some(line) => {
+                eprintln!("flexstage: {line}");
+                return ExitCode::from(2);
+            }
+            // Help and version as well: they end with status 0.
+            None => error.exit(),
+        },
+    };
+    let result = match cli.command {
         #[cfg(feature = "window")]
         Command::View(args) => view::run(args),
         Command::Devices(args) => devices::run(args),
@@ -95,13 +109,10 @@ fn main() -> ExitCode {
         Command::Flash(args) => flash::run(args),
         Command::Serve(args) => serve::run(args),
         Command::Completions { shell } => {
-            clap_complete::generate(
-                shell,
-                &mut Cli::command(),
-                "flexstage",
-                &mut std::io::stdout(),
-            );
-            Ok(())
+            // Into memory first: the generator panics where it cannot write.
+            let mut text = Vec::new();
+            clap_complete::generate(shell, &mut Cli::command(), "flexstage", &mut text);
+            say::text(format_args!("{}", String::from_utf8_lossy(&text)))
         }
         Command::Bench(args) => bench::run(args),
         Command::Replay(args) => replay::run(args),

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anstream::println;
+use anyhow::Context;
 use report::plot::{Bode, LinePlot, Series};
 use report::{Report, Table};
 use serde_json::json;
@@ -11,7 +11,9 @@ use telemetry::measure::campaign::{
 };
 use telemetry::measure::{Frf, margins::Margins};
 
-use crate::board::{BoardArgs, axis_index, on_interrupt, seconds_bar};
+use crate::board::{BoardArgs, beyond, on_interrupt, seconds_bar};
+use crate::number::{axis, number};
+use crate::say::say;
 
 /// Options of `flexstage measure`.
 #[derive(clap::Args)]
@@ -36,13 +38,13 @@ enum What {
         #[arg(long, value_enum, default_value_t)]
         excitation: ExcitationArg,
         /// Axis, from 1.
-        #[arg(long, default_value_t = 1)]
+        #[arg(long, default_value_t = 1, value_parser = axis)]
         axis: usize,
         /// Voltage around which is measured.
-        #[arg(long, default_value_t = 45.0)]
+        #[arg(long, default_value_t = 45.0, allow_negative_numbers = true, value_parser = volts())]
         bias_v: f64,
         /// Peak of the excitation, V.
-        #[arg(long, default_value_t = 8.0)]
+        #[arg(long, default_value_t = 8.0, allow_negative_numbers = true, value_parser = peak_volts())]
         amplitude_v: f64,
     },
     /// Reference to position in closed loop with the settings on the board.
@@ -51,33 +53,47 @@ enum What {
         #[arg(long, value_enum, default_value_t)]
         excitation: ExcitationArg,
         /// Axis, from 1.
-        #[arg(long, default_value_t = 1)]
+        #[arg(long, default_value_t = 1, value_parser = axis)]
         axis: usize,
         /// Position around which is measured.
-        #[arg(long, default_value_t = 6.0)]
+        #[arg(long, default_value_t = 6.0, allow_negative_numbers = true, value_parser = micrometres())]
         center_um: f64,
         /// Peak of the excitation, um.
-        #[arg(long, default_value_t = 0.5)]
+        #[arg(long, default_value_t = 0.5, allow_negative_numbers = true, value_parser = number(0.001..=1000.0, " um"))]
         amplitude_um: f64,
     },
     /// Step of the reference in closed loop.
     Step {
         /// Axis, from 1.
-        #[arg(long, default_value_t = 1)]
+        #[arg(long, default_value_t = 1, value_parser = axis)]
         axis: usize,
         /// From, um.
-        #[arg(long, default_value_t = 5.0)]
+        #[arg(long, default_value_t = 5.0, allow_negative_numbers = true, value_parser = micrometres())]
         from_um: f64,
         /// To, um.
-        #[arg(long, default_value_t = 6.0)]
+        #[arg(long, default_value_t = 6.0, allow_negative_numbers = true, value_parser = micrometres())]
         to_um: f64,
     },
     /// Position noise of all axes as the stage stands.
     Noise {
         /// Length, s.
-        #[arg(long, default_value_t = 5.0)]
+        #[arg(long, default_value_t = 5.0, allow_negative_numbers = true, value_parser = number(0.1..=3600.0, " s"))]
         seconds: f64,
     },
+}
+
+/// Voltages around which is measured; the limits of the board narrow them.
+pub fn volts() -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync {
+    number(-1000.0..=1000.0, " V")
+}
+
+/// Peaks of an excitation that moves something.
+pub fn peak_volts() -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync {
+    number(0.01..=1000.0, " V")
+}
+
+fn micrometres() -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync {
+    number(-1000.0..=1000.0, " um")
 }
 
 #[derive(clap::ValueEnum, Clone, Copy, Default)]
@@ -100,6 +116,13 @@ impl From<ExcitationArg> for Excitation {
 
 /// Run the command.
 pub fn run(args: Args) -> anyhow::Result<()> {
+    if let What::Step { from_um, to_um, .. } = args.what {
+        anyhow::ensure!(
+            from_um != to_um,
+            "--from-um {from_um}, --to-um {to_um}: expected two positions, found one"
+        );
+    }
+    args.out.iter().try_for_each(|path| crate::output::file(path))?;
     let device = args.board.open()?;
     let stop = on_interrupt()?;
     let bar = seconds_bar(0.0);
@@ -111,7 +134,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let (json, lines, page) = match args.what {
         What::Response { excitation, axis, bias_v, amplitude_v } => {
             let settings = crate::config::read(&device)?;
-            let index = axis_index(axis)?;
+            let index = axis - 1;
             let r = frequency_response(
                 &device,
                 index,
@@ -120,7 +143,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
                 &settings,
                 &stop,
                 &mut progress,
-            )?;
+            )
+            .map_err(|error| beyond(error, "--bias-v, --amplitude-v"))?;
             let title = format!("Frequency response of axis {axis}");
             let mut lines = response_lines(&r.plant, "um/V");
             lines.extend(margin_lines(&r.margins));
@@ -137,7 +161,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             (json!({"axis": axis, "plant": frf_json(&r.plant), "margins": r.margins}), lines, page)
         }
         What::Closed { excitation, axis, center_um, amplitude_um } => {
-            let index = axis_index(axis)?;
+            let index = axis - 1;
             let t = closed_loop_response(
                 &device,
                 index,
@@ -156,7 +180,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             (json!({"axis": axis, "closed_loop": frf_json(&t)}), lines, page)
         }
         What::Step { axis, from_um, to_um } => {
-            let index = axis_index(axis)?;
+            let index = axis - 1;
             let (m, curve) = step_response(&device, index, (from_um, to_um), &stop, &mut progress)?;
             let settle =
                 m.settling_s.map_or("not settled".into(), |s| format!("{:.2} ms", s * 1e3));
@@ -225,14 +249,14 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     };
     bar.finish_and_clear();
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&json)?);
+        say!("{}", serde_json::to_string_pretty(&json)?)?;
     } else {
-        lines.iter().for_each(|line| println!("{line}"));
+        lines.iter().try_for_each(|line| say!("{line}"))?;
     }
     if let Some(path) = &args.out {
-        page.write(path)?;
+        page.write(path).with_context(|| format!("{}: cannot write", path.display()))?;
         if !args.json {
-            println!("{}", path.display());
+            say!("{}", path.display())?;
         }
     }
     Ok(())

@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
-use anstream::println;
 use anyhow::{Context, bail};
 use host_sim::platform::PlatformRig;
 use recording::{Recording, Session};
 
 use crate::diagnose::write_all;
+use crate::say::say;
 
 /// A free return of a platform says nothing about a stage, whatever its columns: refuse it.
 pub fn refuse_free_return(recording: &Recording, file: &Path) -> anyhow::Result<()> {
@@ -31,7 +31,7 @@ pub fn identify(
     let found = gap::platform::identify(rig, session)?;
     write_all(folder, &[(name, found.rig.to_toml())])?;
     for line in &found.lines {
-        println!("{line}");
+        say!("{line}")?;
     }
     Ok(())
 }

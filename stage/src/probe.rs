@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
-use anstream::println;
 use serde_json::json;
-use telemetry::probe::{Experiment, Length, Options, plan};
+use telemetry::probe::{Experiment, LOWEST_MAX_V, Length, Options, plan};
 
-use crate::board::{BoardArgs, axis_index, on_interrupt, seconds_bar};
+use crate::board::{BoardArgs, beyond, on_interrupt, seconds_bar};
+use crate::number::{axis, number};
+use crate::say::say;
 
 /// Options of `flexstage probe`.
 #[derive(clap::Args)]
@@ -19,10 +20,16 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t = LengthArg::Standard)]
     length: LengthArg,
     /// Axes to probe, from 1.
-    #[arg(long, value_delimiter = ',', default_value = "1,2,3")]
+    #[arg(long, value_delimiter = ',', default_value = "1,2,3", value_parser = axis)]
     axes: Vec<usize>,
-    /// Highest level, V.
-    #[arg(long, default_value_t = 90.0)]
+    /// Highest voltage that is ever commanded, V. Every recording begins with a conditioning up to it; all else stays a tenth of it below:
+    /// up to 90 V of the 99 V that are the default.
+    #[arg(
+        long,
+        default_value_t = 99.0,
+        allow_negative_numbers = true,
+        value_parser = number(LOWEST_MAX_V..=1000.0, " V")
+    )]
     max_v: f64,
     /// Seed of phases and of the typical motion.
     #[arg(long, default_value_t = 1)]
@@ -52,8 +59,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         LengthArg::Standard => Length::Standard,
         LengthArg::Long => Length::Long,
     };
-    anyhow::ensure!(args.max_v > 0.0, "--max-v {}: expected more than 0 V", args.max_v);
-    let mut axes = args.axes.iter().map(|&a| axis_index(a)).collect::<anyhow::Result<Vec<_>>>()?;
+    let mut axes: Vec<usize> = args.axes.iter().map(|axis| axis - 1).collect();
     axes.sort_unstable();
     axes.dedup();
     let options = Options { axes, max_v: args.max_v, length, seed: args.seed };
@@ -68,13 +74,13 @@ pub fn run(args: Args) -> anyhow::Result<()> {
                     json!({"name": e.name, "seconds": e.total_s(), "low_v": low, "high_v": high})
                 })
                 .collect();
-            println!("{}", serde_json::to_string_pretty(&list)?);
+            say!("{}", serde_json::to_string_pretty(&list)?)?;
         } else {
             for e in &experiments {
                 let (low, high) = e.range_v();
-                println!("{:<28} {:6.1} s  {low:6.1} to {high:5.1} V", e.name, e.total_s());
+                say!("{:<28} {:6.1} s  {low:6.1} to {high:5.1} V", e.name, e.total_s())?;
             }
-            println!("{} recordings, {total_s:.0} s", experiments.len());
+            say!("{} recordings, {total_s:.0} s", experiments.len())?;
         }
         return Ok(());
     }
@@ -100,17 +106,17 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         },
     );
     bar.finish_and_clear();
-    let report = report?;
+    let report = report.map_err(|error| beyond(error, "--max-v"))?;
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
+        say!("{}", serde_json::to_string_pretty(&report)?)?;
     } else {
-        println!(
+        say!(
             "{}: {} recordings, {} ticks lost",
             report.folder.display(),
             report.files.len(),
             report.lost_ticks
-        );
-        println!("next: flexstage diagnose --rig RIG.toml {} --out OUT", report.folder.display());
+        )?;
+        say!("next: flexstage diagnose --rig RIG.toml {} --out OUT", report.folder.display())?;
     }
     Ok(())
 }

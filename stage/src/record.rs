@@ -4,10 +4,11 @@ use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use anstream::println;
 use telemetry::recorder::{Ended, Recorder};
 
 use crate::board::{BoardArgs, on_interrupt, seconds_bar};
+use crate::number::number;
+use crate::say::say;
 
 /// Options of `flexstage record`.
 #[derive(clap::Args)]
@@ -18,7 +19,7 @@ pub struct Args {
     #[arg(required_unless_present = "recover")]
     file: Option<PathBuf>,
     /// Length on the sample clock, s; without it until ctrl-C.
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true, value_parser = number(0.001..=1.0e7, " s"))]
     seconds: Option<f64>,
     /// Free text stored with the recording.
     #[arg(long, default_value = "recording")]
@@ -38,11 +39,11 @@ pub struct Args {
 pub fn run(args: Args) -> anyhow::Result<()> {
     if let Some(path) = &args.recover {
         let kept = recording::recover(path)?;
-        println!(
+        say!(
             "{}: {:.1} s recovered",
             path.display(),
             kept.span_ticks() as f64 / kept.meta.sample_rate_hz
-        );
+        )?;
         return Ok(());
     }
     let file = args.file.as_deref().unwrap_or_else(|| unreachable!("clap asks for it"));
@@ -63,15 +64,15 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     };
     bar.finish_and_clear();
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&progress)?);
+        say!("{}", serde_json::to_string_pretty(&progress)?)?;
     } else {
-        println!(
+        say!(
             "{}: {:.1} s, {} samples, {} ticks lost",
             progress.path.display(),
             progress.seconds,
             progress.rows,
             progress.lost_ticks
-        );
+        )?;
     }
     match progress.ended {
         Some(Ended::Stopped) | None => Ok(()),

@@ -1,12 +1,12 @@
 //! `flexstage serve`: offers a board on a local socket, so that commands and windows can come and go.
 
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 
-use anstream::println;
 use telemetry::serve::{Event, serve};
 
 use crate::board::{BoardArgs, on_interrupt};
+use crate::say::say;
 
 /// Options of `flexstage serve`.
 #[derive(clap::Args)]
@@ -28,11 +28,19 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let stop: Arc<AtomicBool> = on_interrupt()?;
     let board = telemetry::device::connect(&args.board.target()?)?;
     let name = board.name();
-    serve(board, &args.listen, &stop, &mut |event| match event {
-        Event::Listening(address) => println!("{name}: connect with --connect {address}"),
-        Event::Connected => println!("a client connected"),
-        Event::Refused => println!("a second client was refused"),
-        Event::Left => println!("the client left"),
+    let mut printed = Ok(());
+    serve(board, &args.listen, &stop, &mut |event| {
+        let said = match event {
+            Event::Listening(address) => say!("{name}: connect with --connect {address}"),
+            Event::Connected => say!("a client connected"),
+            Event::Refused => say!("a second client was refused"),
+            Event::Left => say!("the client left"),
+        };
+        // Nobody would learn the address: that ends it.
+        if said.is_err() {
+            stop.store(true, Ordering::Release);
+            printed = said;
+        }
     })?;
-    Ok(())
+    printed
 }

@@ -1,12 +1,12 @@
 //! `flexstage status`: state, faults and health of a board.
 
-use anstream::println;
 use flexstage::Flags;
 use flexstage::link::message::{Command, Reply};
 use serde_json::json;
 use telemetry::words::{faults, state_words};
 
 use crate::board::BoardArgs;
+use crate::say::say;
 
 /// Options of `flexstage status`.
 #[derive(clap::Args)]
@@ -52,41 +52,43 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             "stack_free_bytes": counters.stack_free,
             "crash": (!crash.message.is_empty()).then_some(crash.message.as_str()),
         });
-        println!("{}", serde_json::to_string_pretty(&out)?);
+        say!("{}", serde_json::to_string_pretty(&out)?)?;
         return Ok(());
     }
-    println!("{}  firmware {}  serial {}", info.name, info.firmware, info.serial);
-    println!("state      {}", state_words(flags));
+    say!("{}  firmware {}  serial {}", info.name, info.firmware, info.serial)?;
+    say!("state      {}", state_words(flags))?;
     for fault in faults(flags) {
-        println!("fault      {}: {}", fault.code, fault.words);
+        say!("fault      {}: {}", fault.code, fault.words)?;
     }
     for limit in limits {
-        println!("limited    {limit}");
+        say!("limited    {limit}")?;
     }
-    println!(
+    say!(
         "uptime     {:.1} s, last restart: {}",
         f64::from(status.uptime_ms) / 1e3,
         info.reset_reason
-    );
-    println!(
+    )?;
+    say!(
         "settings   {:08x}, {}",
         status.digest,
         if status.is_stored { "saved" } else { "not saved: a restart forgets them" }
-    );
-    println!(
+    )?;
+    say!(
         "loop       longest tick {max_us:.1} us of {:.0} us, {} overruns",
         1e6 / info.sample_rate_hz,
         counters.overruns
-    );
-    println!(
+    )?;
+    say!(
         "link       {} samples dropped, {} malformed, {} USB resets",
-        counters.dropped, counters.malformed, counters.usb_resets
-    );
+        counters.dropped,
+        counters.malformed,
+        counters.usb_resets
+    )?;
     if info.self_test != 0 {
-        println!("self-test  failed, bits {:#06x}", info.self_test);
+        say!("self-test  failed, bits {:#06x}", info.self_test)?;
     }
     if !crash.message.is_empty() {
-        println!("last run   ended badly: {}", crash.message);
+        say!("last run   ended badly: {}", crash.message)?;
     }
     Ok(())
 }

@@ -1,9 +1,8 @@
 //! `flexstage tune`: measure, propose, show predicted beside measured, apply on confirmation.
 
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::path::PathBuf;
 
-use anstream::println;
 use anyhow::Context;
 use host_sim::Rig;
 use report::{Report, Table};
@@ -12,8 +11,10 @@ use telemetry::measure::Frf;
 use telemetry::tune::LoopFigures;
 use telemetry::tune::study::{Applied, Level, Study, apply, distance, study, study_model};
 
-use crate::board::{BoardArgs, axis_index, on_interrupt, seconds_bar};
-use crate::measure::{bode, frf_json, margin_lines, prediction, trace};
+use crate::board::{BoardArgs, beyond, on_interrupt, seconds_bar};
+use crate::measure::{bode, frf_json, margin_lines, peak_volts, prediction, trace, volts};
+use crate::number::axis;
+use crate::say::say;
 
 /// Band in which prediction and measurement are compared, Hz.
 const BAND_HZ: f64 = 500.0;
@@ -24,13 +25,13 @@ pub struct Args {
     #[command(flatten)]
     board: BoardArgs,
     /// Axis, from 1.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = axis)]
     axis: usize,
     /// Voltage around which is measured.
-    #[arg(long, default_value_t = 45.0)]
+    #[arg(long, default_value_t = 45.0, allow_negative_numbers = true, value_parser = volts())]
     bias_v: f64,
     /// Peak of the excitation, V.
-    #[arg(long, default_value_t = 8.0)]
+    #[arg(long, default_value_t = 8.0, allow_negative_numbers = true, value_parser = peak_volts())]
     amplitude_v: f64,
     /// Tune on a rig file (from `identify` or `diagnose`) instead of a measurement of the stage; the feedforward is then the rig's.
     #[arg(long, value_name = "RIG.toml")]
@@ -51,11 +52,9 @@ pub struct Args {
 
 /// Run the command.
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let axis = axis_index(args.axis)?;
+    let axis = args.axis - 1;
     let model = args.model.as_deref().map(Rig::load).transpose()?;
-    if let Some(path) = args.write.iter().chain(&args.out).find(|path| path.is_dir()) {
-        anyhow::bail!("{}: expected a file to write, found a folder", path.display());
-    }
+    args.write.iter().chain(&args.out).try_for_each(|path| crate::output::file(path))?;
     let device = args.board.open()?;
     let stop = on_interrupt()?;
     let bar = seconds_bar(0.0);
@@ -68,17 +67,18 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let study = match &model {
         Some(rig) => {
             let in_effect = crate::config::read(&device)?;
-            study_model(rig, &in_effect, axis, level, &stop, &mut progress)?
+            study_model(rig, &in_effect, axis, level, &stop, &mut progress)
         }
-        None => study(&device, axis, level, &stop, &mut progress)?,
+        None => study(&device, axis, level, &stop, &mut progress),
     };
+    let study = study.map_err(|error| beyond(error, "--bias-v, --amplitude-v"))?;
     let proposal = &study.proposal;
     bar.finish_and_clear();
     if !args.json {
-        println!("axis {}: {}", args.axis, proposal.changes.join("\n        "));
-        println!("now        {}", figures(&proposal.before));
-        println!("predicted  {}", figures(&proposal.predicted));
-        println!("           {}", closed_words(&study.closed_predicted));
+        say!("axis {}: {}", args.axis, proposal.changes.join("\n        "))?;
+        say!("now        {}", figures(&proposal.before))?;
+        say!("predicted  {}", figures(&proposal.predicted))?;
+        say!("           {}", closed_words(&study.closed_predicted))?;
     }
     if let Some(path) = &args.write {
         std::fs::write(path, toml::to_string_pretty(&proposal.settings)?)
@@ -90,14 +90,15 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         let applied = apply(&device, &study, &stop, &mut progress)?;
         bar.finish_and_clear();
         if !args.json {
-            println!(
+            say!(
                 "applied    settings {:08x} from tick {}, not saved (`flexstage config save`)",
-                applied.digest, applied.tick
-            );
-            println!("measured   {}", margin_lines(&applied.after.margins).join("; "));
-            println!("           {}", closed_words(&applied.closed));
+                applied.digest,
+                applied.tick
+            )?;
+            say!("measured   {}", margin_lines(&applied.after.margins).join("; "))?;
+            say!("           {}", closed_words(&applied.closed))?;
             if let Some(words) = agreement(&study, &applied) {
-                println!("           {words}");
+                say!("           {words}")?;
             }
         }
         Some(applied)
@@ -117,7 +118,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             "prediction_off": applied.as_ref().and_then(|a| distance(&study.closed_predicted, &a.closed, BAND_HZ)),
             "applied": is_wanted,
         });
-        println!("{}", serde_json::to_string_pretty(&out)?);
+        say!("{}", serde_json::to_string_pretty(&out)?)?;
     }
     if let Some(path) = &args.out {
         page(&study, applied.as_ref())
@@ -201,11 +202,10 @@ fn figures(f: &LoopFigures) -> String {
 
 fn confirm() -> anyhow::Result<bool> {
     if !std::io::stdin().is_terminal() {
-        println!("not applied: no terminal to confirm at (use --apply)");
+        say!("not applied: no terminal to confirm at (use --apply)")?;
         return Ok(false);
     }
-    print!("apply? [y/N] ");
-    std::io::stdout().flush()?;
+    crate::say::text(format_args!("apply? [y/N] "))?;
     let mut answer = String::new();
     std::io::stdin().read_line(&mut answer)?;
     Ok(answer.trim().eq_ignore_ascii_case("y"))

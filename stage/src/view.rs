@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use viewer::{Options, Source};
 
 use crate::board::BoardArgs;
+use crate::number::number;
 
 /// Options of `flexstage view`.
 #[derive(clap::Args)]
@@ -18,7 +19,7 @@ pub struct Args {
     #[arg(long)]
     sample_rate: Option<f64>,
     /// Seconds of full-rate samples kept in memory.
-    #[arg(long, default_value_t = 620.0, value_parser = seconds)]
+    #[arg(long, default_value_t = 620.0, value_parser = number(1.0..=36_000.0, " s"))]
     history: f64,
     /// Folder for recordings and probe sessions.
     #[arg(long, default_value = "recordings")]
@@ -26,13 +27,6 @@ pub struct Args {
     /// Rig file that a diagnosis starts from.
     #[arg(long)]
     rig: Option<PathBuf>,
-}
-
-fn seconds(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(s) if (1.0..=36_000.0).contains(&s) => Ok(s),
-        _ => Err(format!("expected 1 to 36000 s, found {text}")),
-    }
 }
 
 /// Run the command.

@@ -95,6 +95,9 @@ pub enum Error {
     /// A value that was checked before sending.
     #[error("{0}")]
     Invalid(String),
+    /// What was to be driven lies beyond the limits of the board.
+    #[error("{0}")]
+    Beyond(String),
     /// A fault of the controller during an experiment.
     #[error("the controller stopped with a fault: {0}")]
     Fault(String),

@@ -5,6 +5,7 @@ use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 
+use super::legend::corner;
 use super::{FONT, Figure, GRID, TEXT, colour, draw, font, label, padded};
 
 /// Points that a line keeps at most: two (minimum and maximum) for each of this many columns.
@@ -79,7 +80,16 @@ pub struct LinePlot {
     bands: Vec<(f64, f64)>,
     x_marks: Vec<(f64, String)>,
     y_marks: Vec<(f64, String)>,
-    legend: Option<SeriesLabelPosition>,
+    legend: Legend,
+}
+
+/// Where the legend stands.
+#[derive(Clone)]
+enum Legend {
+    /// Where it hides least.
+    Free,
+    /// There, if anywhere.
+    Fixed(Option<SeriesLabelPosition>),
 }
 
 impl LinePlot {
@@ -98,14 +108,14 @@ impl LinePlot {
             bands: Vec::new(),
             x_marks: Vec::new(),
             y_marks: Vec::new(),
-            legend: Some(SeriesLabelPosition::UpperRight),
+            legend: Legend::Free,
         }
     }
 
-    /// Where the legend stands, if anywhere.
+    /// Where the legend stands, if anywhere; where it hides least if nothing is said.
     #[must_use]
     pub(super) fn legend(mut self, position: Option<SeriesLabelPosition>) -> Self {
-        self.legend = position;
+        self.legend = Legend::Fixed(position);
         self
     }
 
@@ -352,7 +362,13 @@ impl LinePlot {
                 .label(series.name.clone())
                 .legend(move |(x, y)| Circle::new((x + 9, y), 4, fill.filled()));
         }
-        if let Some(position) = self.legend.clone()
+        let position = match &self.legend {
+            Legend::Fixed(position) => position.clone(),
+            Legend::Free => {
+                Some(self.free_corner(chart.plotting_area().dim_in_pixel(), (x0, x1, y0, y1)))
+            }
+        };
+        if let Some(position) = position
             && self.series.len() > 1
         {
             chart
@@ -365,6 +381,30 @@ impl LinePlot {
                 .map_err(text)?;
         }
         Ok(())
+    }
+}
+
+impl LinePlot {
+    fn free_corner(
+        &self,
+        (width, height): (u32, u32),
+        (x0, x1, y0, y1): (f64, f64, f64, f64),
+    ) -> SeriesLabelPosition {
+        let share = |v: f64, (low, high): (f64, f64), log: bool| match log {
+            true => (v / low).ln() / (high / low).ln(),
+            false => (v - low) / (high - low),
+        };
+        let place = |&(x, y): &(f64, f64)| {
+            (share(x, (x0, x1), self.x_log), share(y.clamp(y0, y1), (y0, y1), self.y_log))
+        };
+        let mut lines: Vec<Vec<_>> = Vec::new();
+        for series in &self.series {
+            let inside = |p: &(f64, f64)| self.shows(p) && p.0 >= x0 && p.0 <= x1;
+            let runs = series.points.split(|p| !inside(p)).filter(|run| !run.is_empty());
+            lines.extend(runs.map(|run| thin(run).iter().map(place).collect()));
+        }
+        let names: Vec<&str> = self.series.iter().map(|series| series.name.as_str()).collect();
+        corner(&names, f64::from(SAMPLE), (f64::from(width), f64::from(height)), &lines)
     }
 }
 

@@ -8,6 +8,7 @@ use plotters::prelude::*;
 mod bars;
 mod bode;
 mod heat_map;
+mod legend;
 mod line;
 
 pub use bars::{Bar, BarPlot, Waterfall};

@@ -1,10 +1,11 @@
 //! What experiments write into: the terminal, the report and the list of results.
 
-use anstream::println;
 use indicatif::ProgressBar;
 use report::plot::Figure;
 use report::{Report, Table};
 use serde::Serialize;
+
+use crate::say::say;
 
 /// One result of `bench.json`.
 #[derive(Clone, Debug, Serialize)]
@@ -53,19 +54,27 @@ pub struct Book {
     report: Option<Report>,
     outcomes: Vec<Outcome>,
     bar: ProgressBar,
+    /// What went wrong with the terminal first; said at the end, so that experiments need not care.
+    failed: Option<anyhow::Error>,
 }
 
 impl Book {
     /// Empty.
     pub fn new(bar: ProgressBar) -> Self {
-        Self { report: Some(Report::new("flexstage bench")), outcomes: Vec::new(), bar }
+        Self {
+            report: Some(Report::new("flexstage bench")),
+            outcomes: Vec::new(),
+            bar,
+            failed: None,
+        }
     }
 
     fn change(&mut self, f: impl FnOnce(Report) -> Report) {
         self.report = self.report.take().map(f);
     }
-    fn print(&self, text: &str) {
-        self.bar.suspend(|| println!("{text}"));
+    fn print(&mut self, text: &str) {
+        let said = self.bar.suspend(|| say!("{text}"));
+        self.failed = self.failed.take().or(said.err());
     }
 
     /// Say what is being done.
@@ -126,10 +135,11 @@ impl Book {
     pub fn verdict(&mut self, text: &str) {
         self.change(|report| report.verdict(text));
     }
-    /// The report and the text of `bench.json`.
-    pub fn finish(self) -> (Report, String) {
+    /// The report, the text of `bench.json`, and whether all could be printed.
+    pub fn finish(self) -> (Report, String, anyhow::Result<()>) {
         let results = Results { experiments: self.outcomes };
         let text = serde_json::to_string_pretty(&results).unwrap_or_default();
-        (self.report.unwrap_or_else(|| Report::new("flexstage bench")), text)
+        let report = self.report.unwrap_or_else(|| Report::new("flexstage bench"));
+        (report, text, self.failed.map_or(Ok(()), Err))
     }
 }

@@ -7,7 +7,6 @@ use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anstream::println;
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -21,6 +20,8 @@ mod stiffness_match;
 mod tracking;
 
 use book::Book;
+
+use crate::say::say;
 
 /// Options of `flexstage bench`.
 #[derive(clap::Args)]
@@ -59,16 +60,16 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let (report, results) = book.finish();
+    let (report, results, printed) = book.finish();
     let page = args.out.join("report.html");
     report.write(&page).with_context(|| format!("{}: cannot write", page.display()))?;
     write_whole(&args.out.join("bench.json"), &results)?;
-    println!(
+    printed?;
+    say!(
         "{:.1} s; {} has the plots, bench.json beside it the numbers",
         start.elapsed().as_secs_f64(),
         page.display()
-    );
-    Ok(())
+    )
 }
 
 /// Write a file under another name first: either the old one or the new one is there, whole.

@@ -30,9 +30,9 @@ pub fn check(plan: &[Experiment], settings: &Settings, axes: &[usize]) -> Result
                 ),
             ] {
                 if found_low < f64::from(min) - 1e-6 || found_high > f64::from(max) + 1e-6 {
-                    return Err(Error::Invalid(format!(
-                        "probe `{}` needs {found_low:.1} to {found_high:.1} {unit} on axis {}, its {what} limits are \
-                         {min} to {max} {unit}: choose a lower level (--max-v) or widen the limits",
+                    return Err(Error::Beyond(format!(
+                        "`{}` needs {found_low:.1} to {found_high:.1} {unit} on axis {}, its {what} limits are {min} to {max} \
+                         {unit}: choose another level or widen the limits",
                         experiment.name,
                         axis + 1
                     )));
@@ -81,7 +81,7 @@ mod tests {
 
     #[test]
     fn limits_are_respected_by_name() {
-        let options = Options { max_v: 140.0, ..Options::default() };
+        let options = Options { max_v: 154.0, ..Options::default() };
         let error = check(&plan(&options), &Settings::default(), &options.axes).unwrap_err();
         assert!(
             error.to_string().contains("150 V") && error.to_string().contains("axis 1"),

@@ -8,5 +8,5 @@ pub mod plan;
 pub mod run;
 pub mod waveform;
 
-pub use plan::{Experiment, Length, Options, Phase, plan};
+pub use plan::{Experiment, LOWEST_MAX_V, Length, Options, Phase, plan};
 pub use run::{Mode, Progress, Report, capture, run};

@@ -26,7 +26,7 @@ pub enum Length {
 pub struct Options {
     /// Axes, from 0.
     pub axes: Vec<usize>,
-    /// Highest voltage of triangles, steps and multisines.
+    /// Highest voltage that is ever driven: the conditioning. Triangles, steps and multisines end a tenth of theirs below it.
     pub max_v: f64,
     /// How long.
     pub length: Length,
@@ -36,7 +36,8 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { axes: (0..AXES).collect(), max_v: 90.0, length: Length::Standard, seed: 1 }
+        // The papers' 90 V, conditioned to a tenth more.
+        Self { axes: (0..AXES).collect(), max_v: 99.0, length: Length::Standard, seed: 1 }
     }
 }
 
@@ -66,6 +67,9 @@ pub struct Experiment {
     pub table: Option<Vec<f32>>,
 }
 
+/// Lowest [`Options::max_v`]: what moves a stage of some 0.1 um/V by a hundred times the noise of its gauges. Less than that tells
+/// nothing of an effect.
+pub const LOWEST_MAX_V: f64 = 5.0;
 /// Time of the conditioning: up in 0.2 s, down in 0.2 s, 0.1 s rest.
 pub const CONDITION_S: f64 = 0.5;
 /// Periods of a table that are exact in ticks: 1024 and 8192.
@@ -103,7 +107,9 @@ impl Experiment {
 /// The suite.
 pub fn plan(options: &Options) -> Vec<Experiment> {
     let Options { axes, max_v, length, seed } = options;
-    let (max, seed) = (*max_v, *seed);
+    // The conditioning goes a tenth beyond everything else, and nothing beyond what was asked for.
+    let condition = *max_v;
+    let (max, seed) = (condition * 10.0 / 11.0, *seed);
     let all = |waveform: &dyn Fn(usize) -> Waveform| -> Vec<(usize, Waveform)> {
         axes.iter().map(|&axis| (axis, waveform(axis))).collect()
     };
@@ -113,7 +119,6 @@ pub fn plan(options: &Options) -> Vec<Experiment> {
         Length::Standard => standard,
         Length::Long => long,
     };
-    let condition = max * 1.1;
     let mut out = vec![Experiment::new("rest", 0.0, pick(2.0, 5.0, 10.0), vec![])];
 
     for &axis in axes {
@@ -124,7 +129,8 @@ pub fn plan(options: &Options) -> Vec<Experiment> {
         };
         let periods = pick(2.0, 3.0, 4.0);
         for level in levels {
-            let high_v = (max * level).round();
+            // Whole volts, where that is not beyond what was asked for.
+            let high_v = (max * level).round().min(max);
             let triangle = Waveform::Triangle { low_v: 0.0, high_v, frequency_hz: 1.0 };
             let name = format!("triangle-1hz-{high_v:.0}v-axis{}", axis + 1);
             let phases = vec![at(0.0, vec![(axis, triangle)])];
@@ -173,8 +179,8 @@ pub fn plan(options: &Options) -> Vec<Experiment> {
     }
     let biases: &[f64] = if *length == Length::Quick { &[0.5] } else { &[0.22, 0.5, 0.85] };
     for (i, &bias) in biases.iter().enumerate() {
-        let center_v = (max * bias).round();
-        let amplitude_v = (max * 0.12).min(center_v);
+        let amplitude_v = max * 0.12;
+        let center_v = (max * bias).round().clamp(amplitude_v, max - amplitude_v);
         let ramp = || at(0.0, all(&|_| Waveform::Ramp { to_v: center_v, duration_s: 0.2 }));
         for (kind, hz, highest, seconds) in [
             ("wide", FAST_HZ, 255, pick(2.0, 3.0, 6.0)),
@@ -307,6 +313,20 @@ mod tests {
             names.sort_unstable();
             names.dedup();
             assert_eq!(names.len(), plan.len(), "file names are unique");
+        }
+    }
+
+    #[test]
+    fn nothing_is_driven_beyond_the_highest_level() {
+        for length in [Length::Quick, Length::Standard, Length::Long] {
+            for max_v in [LOWEST_MAX_V, 5.5, 7.3, 12.0, 33.3, 60.0, 90.0, 99.0, 100.0, 120.0, 150.0]
+            {
+                let options = Options { length, max_v, ..Options::default() };
+                let ranges: Vec<_> = plan(&options).iter().map(Experiment::range_v).collect();
+                let beyond = ranges.iter().filter(|(low, high)| *low < 0.0 || *high > max_v);
+                assert_eq!(beyond.count(), 0, "{length:?}, {max_v} V: {ranges:?}");
+                assert!(ranges.iter().any(|(_, high)| *high == max_v), "{length:?}, {max_v} V");
+            }
         }
     }
 }

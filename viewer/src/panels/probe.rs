@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use eframe::egui::{ComboBox, DragValue, ProgressBar, RichText, TextEdit, Ui};
-use telemetry::probe::{Length, Options, plan};
+use telemetry::probe::{LOWEST_MAX_V, Length, Options, plan};
 use telemetry::{AXES, probe::Experiment};
 
 use super::{BAD, GOOD, axis_color};
@@ -66,8 +66,10 @@ impl Probe {
                 }
             });
         ui.horizontal(|ui| {
-            ui.label("highest level");
-            ui.add(DragValue::new(&mut self.options.max_v).range(5.0..=135.0).suffix(" V"));
+            ui.label("highest voltage");
+            ui.add(
+                DragValue::new(&mut self.options.max_v).range(LOWEST_MAX_V..=150.0).suffix(" V"),
+            );
         });
         ui.horizontal(|ui| {
             for (axis, on) in self.axes.iter_mut().enumerate() {

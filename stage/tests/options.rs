@@ -1,0 +1,147 @@
+//! Options whose values cannot be, and what the values that can be mean: told before any work, in one line.
+
+mod common;
+
+use common::{json, ok, refused, run, text};
+
+#[test]
+fn nothing_is_probed_beyond_the_highest_voltage() {
+    for max_v in ["20", "90", "100"] {
+        for length in ["quick", "standard", "long"] {
+            let plan = ok(run(&[
+                "probe",
+                "x",
+                "--dry-run",
+                "--json",
+                "--max-v",
+                max_v,
+                "--length",
+                length,
+            ]));
+            let plan = json(&plan);
+            let highest = plan.as_array().unwrap().iter().map(|e| e["high_v"].as_f64().unwrap());
+            assert_eq!(highest.fold(0.0, f64::max), max_v.parse::<f64>().unwrap(), "{length}");
+        }
+    }
+}
+
+#[test]
+fn numbers_that_cannot_be() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("a.parquet");
+    let file = text(&file);
+    let cases: &[(&[&str], &[&str])] = &[
+        (
+            &["measure", "--virtual", "noise", "--seconds", "nan"],
+            &["--seconds nan", "0.1 to 3600 s"],
+        ),
+        (&["measure", "--virtual", "noise", "--seconds", "-3"], &["--seconds -3", "0.1 to 3600 s"]),
+        (
+            &["measure", "--virtual", "closed", "--amplitude-um", "inf"],
+            &["--amplitude-um inf", "um"],
+        ),
+        (&["measure", "--virtual", "step", "--from-um", "6"], &["--from-um 6", "--to-um 6"]),
+        (&["record", "--virtual", file, "--seconds", "nan"], &["--seconds nan", " s"]),
+        (&["record", "--virtual", file, "--seconds", "-1"], &["--seconds -1", " s"]),
+        (&["tune", "--virtual", "--amplitude-v=0"], &["--amplitude-v 0", "0.01 to 1000 V"]),
+        (&["tune", "--virtual", "--bias-v", "500"], &["--bias-v", "drive limits"]),
+        (&["tune", "--virtual", "--bias-v", "-5"], &["--bias-v", "-13.0 to 3.0 V", "drive limits"]),
+        (&["tune", "--virtual", "--axis", "4"], &["--axis 4", "1 to 3"]),
+        (&["probe", "--virtual", file, "--axes", "1,0"], &["--axes 0", "1 to 3"]),
+        (&["probe", "--virtual", file, "--max-v", "0.1"], &["--max-v 0.1", "5 to 1000 V"]),
+        (&["blind", "--weights", "1,nan,1,1"], &["--weights nan"]),
+        (&["blind", "--min-ratio", "9", "--max-ratio", "3"], &["--min-ratio 9", "--max-ratio"]),
+    ];
+    for (arguments, words) in cases {
+        let said = refused(run(arguments));
+        for word in *words {
+            assert!(said.contains(word), "{arguments:?}: `{word}` expected in {said}");
+        }
+        assert!(!said.contains("--max-v") || arguments[0] == "probe", "{arguments:?}: {said}");
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "nothing is left behind");
+}
+
+#[test]
+fn blind_cases_of_other_options_are_not_taken_for_these() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("set");
+    let out = text(&out);
+    let blind =
+        |options: &[&str]| run(&[&["blind", "--cases", "0", "--out", out][..], options].concat());
+    ok(blind(&["--seed", "5"]));
+    // The same again, of any number of cases, goes on.
+    ok(blind(&["--seed", "5"]));
+    ok(run(&["blind", "--cases", "1", "--seed", "5", "--write-only", out]));
+    for (options, words) in [
+        (&["--seed", "6"][..], ["--seed 5, not 6", "--out"]),
+        (&["--seed", "5", "--other-rigs"], ["--other-rigs false, not true", "choose another"]),
+        (&["--seed", "5", "--weights", "0,1,0,0"], ["--weights", "choose another"]),
+        (&["--seed", "5", "--only", "creep"], ["--only []", "choose another"]),
+        (&["--seed", "5", "--leave-one-out"], ["--leave-one-out", "choose another"]),
+    ] {
+        let said = refused(blind(options));
+        for word in words {
+            assert!(said.contains(word), "{options:?}: `{word}` expected in {said}");
+        }
+    }
+    // Cases from before options were kept.
+    std::fs::remove_file(folder.path().join("set/options.json")).unwrap();
+    assert!(refused(blind(&["--seed", "5"])).contains("unknown options"));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_standard_output_that_takes_nothing_is_no_crash() {
+    use std::process::Stdio;
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("b0");
+    let commands: &[&[&str]] = &[
+        &["config", "--virtual", "get", "--toml"],
+        &["config", "--virtual", "get"],
+        &["status", "--virtual", "--json"],
+        &["completions", "bash"],
+        &["blind", "--cases", "0", "--out", text(&out)],
+        &["probe", "x", "--dry-run"],
+    ];
+    for arguments in commands {
+        let mut child = common::flexstage()
+            .args(*arguments)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        drop(child.stdout.take());
+        let left = child.wait_with_output().unwrap();
+        let words = String::from_utf8_lossy(&left.stderr).into_owned();
+        assert!(left.status.success() && words.is_empty(), "{arguments:?}: {words}");
+        // There where the system has a device that is always full.
+        if let Ok(full) = std::fs::OpenOptions::new().write(true).open("/dev/full") {
+            let full = common::flexstage().args(*arguments).stdout(full).output().unwrap();
+            assert!(refused(full).contains("standard output"), "{arguments:?}");
+        }
+    }
+}
+
+#[test]
+fn files_that_cannot_be_written_are_refused_before_the_work() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| text(&folder.path().join(name)).to_owned();
+    let rig = path("rig.toml");
+    std::fs::write(&rig, host_sim::Rig::named("handley").unwrap().to_toml()).unwrap();
+    let (nowhere, below, session) = (path("no/x.html"), path("rig.toml/x"), path("session"));
+    let board = common::Board::start(&[]);
+    let before = ok(board.run(&["config", "get"]));
+    for arguments in [
+        ["tune", "--model", &rig, "--apply", "--out", &nowhere],
+        ["tune", "--model", &rig, "--apply", "--write", &below],
+        ["measure", "noise", "--seconds", "3600", "--out", &nowhere],
+    ] {
+        let said = refused(board.run(&arguments));
+        assert!(said.contains(arguments[5]) && said.contains("expected a folder"), "{said}");
+    }
+    assert_eq!(ok(board.run(&["config", "get"])), before, "nothing was applied");
+    // The session is not even looked for.
+    let said = refused(run(&["identify", "--rig", &rig, &session, "--out", &below]));
+    assert!(said.contains(&below) && said.contains("found a file"), "{said}");
+}
