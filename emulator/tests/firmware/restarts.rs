@@ -2,6 +2,7 @@
 
 use emulator::bench::Bench;
 use emulator::time::{MILLISECOND, SECOND};
+use flexstage::Settings;
 use flexstage::link::message::{Command, Refusal, Reply};
 
 use crate::common::{armed, bench, hold, image, settings};
@@ -79,7 +80,8 @@ fn a_restart_ends_softly_where_the_drives_are_parked_up() {
 fn codes_that_the_converters_do_not_have_are_refused() {
     let Some(image) = image() else { return };
     let mut b = bench(&image, 45);
-    let changes: [(&str, fn(&mut flexstage::Settings)); 3] = [
+    type Change = fn(&mut Settings);
+    let changes: [(&str, Change); 3] = [
         ("dac", |s| s.axes[2].dac.full_code = 8_191),
         ("gauge", |s| s.axes[2].gauge.full_code = 65_535),
         ("monitor", |s| s.axes[2].monitor.full_code = 4_095),

@@ -147,7 +147,8 @@ fn bad_settings_change_nothing() {
 #[test]
 fn what_would_move_a_drive_at_once_waits_until_it_is_parked() {
     let (mut session, mut board) = (Session::new(), Board::new());
-    let changes: [(&str, fn(&mut Settings)); 6] = [
+    type Change = fn(&mut Settings);
+    let changes: [(&str, Change); 6] = [
         ("at_zero_v", |s| s.axes[1].dac.at_zero_v = -9.0),
         ("at_full_v", |s| s.axes[1].dac.at_full_v = 140.0),
         ("full_code", |s| s.axes[1].dac.full_code = 4_094),
