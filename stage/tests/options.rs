@@ -26,6 +26,19 @@ fn nothing_is_probed_beyond_the_highest_voltage() {
 }
 
 #[test]
+fn a_session_is_probed_into_a_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("a.csv");
+    std::fs::write(&file, "mine").unwrap();
+    let said = refused(run(&["probe", "--virtual", text(&file)]));
+    assert!(
+        said.contains("a.csv: expected a new or empty folder for the session, found a file"),
+        "{said}"
+    );
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), "mine");
+}
+
+#[test]
 fn numbers_that_cannot_be() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("a.parquet");

@@ -80,6 +80,12 @@ pub fn run(
         )));
     }
     let is_new = !folder.exists();
+    if !is_new && !folder.is_dir() {
+        return Err(Error::Invalid(format!(
+            "{}: expected a new or empty folder for the session, found a file",
+            folder.display()
+        )));
+    }
     std::fs::create_dir_all(folder).map_err(file_error)?;
     let mut report = Report { folder: folder.to_owned(), files: Vec::new(), lost_ticks: 0 };
     let done =
