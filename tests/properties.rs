@@ -349,7 +349,11 @@ fn a_step_of_the_setpoint_does_not_kick_the_derivative() {
 /// An axis whose reference rests skips most of its tick; nobody may see that. A creep model of nothing keeps it awake.
 #[test]
 fn resting_changes_nothing_but_the_time_it_takes() {
-    let asleep = Settings::default();
+    let mut asleep = Settings::default();
+    for axis in &mut asleep.axes {
+        // The gain of the bench is not the model's: at the end of the travel it goes too far.
+        axis.limits.travel_margin_um = 0.0;
+    }
     let mut awake = asleep.clone();
     for axis in &mut awake.axes {
         let _ = axis.feedforward.creep.push(flexstage::settings::CreepSettings::default());

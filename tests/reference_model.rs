@@ -178,6 +178,7 @@ fn difference(axis: &AxisSettings, cross_n_per_m: [f32; 2], sine: Wave, wobble_u
     settings.cross_stiffness_n_per_m[0][1..].copy_from_slice(&cross_n_per_m);
     settings.guard.stuck_drive_v = 0.0;
     settings.guard.max_step_um = 0.0;
+    settings.guard.return_v_per_ms = 1.0;
     settings.guard.arming_s = 0.02;
     let mut bench = Bench::new(&settings, 8.0);
     for _ in 0..10 {

@@ -17,6 +17,10 @@ pub fn controller_settings(rig: &Rig) -> Settings {
     let mut settings = Settings::default();
     for (k, axis) in rig.axes.iter().take(AXES).enumerate() {
         settings.axes[k] = axis_settings(rig, k, axis);
+        // Back from either rail in half a second: the board refuses slower returns than 0.6 s.
+        let rail_v = axis.amplifier.max_v.max(-axis.amplifier.min_v) as f32;
+        let guard = &mut settings.guard;
+        guard.return_v_per_ms = guard.return_v_per_ms.max(rail_v / 500.0);
     }
     for on in 0..AXES.min(rig.axes.len()) {
         for from in 0..AXES.min(rig.axes.len()) {

@@ -237,6 +237,45 @@ fn tuning_on_a_corrected_rig_predicts_the_stage() {
 }
 
 #[test]
+fn the_loop_is_retuned_on_a_corrected_rig() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, out) = (folder.path().join("corrected.toml"), folder.path().join("bench"));
+    // As `diagnose` leaves it: springs between the axes, and a stage that creeps.
+    let mut rig = host_sim::Rig::named("handley").unwrap();
+    for (on, from) in [(0, 1), (1, 0), (1, 2), (2, 1)] {
+        let place = host_sim::effects::Place::Pair { on, from };
+        rig.set("stiffness-coupling", place, "stiffness_n_per_m", 1.5e6).unwrap();
+    }
+    for axis in 0..3 {
+        rig.set("creep", host_sim::effects::Place::Axis(axis), "per_decade", 0.02).unwrap();
+    }
+    std::fs::write(&file, rig.to_toml()).unwrap();
+    let said = ok(run(&["bench", "--rig", text(&file), "--out", text(&out)]));
+    assert!(said.contains("retuned for the effects of the rig file"), "{said}");
+    let results = json(&std::fs::read_to_string(out.join("bench.json")).unwrap());
+    let worst = |name: &str| {
+        let named = |r: &&serde_json::Value| r["name"] == name;
+        let of_axes = results["experiments"].as_array().unwrap().iter().filter(named);
+        of_axes.map(|r| r["rms_nm"].as_f64().unwrap()).reduce(f64::max).expect("a result")
+    };
+    // Feedforward alone: what the model knows of, the loop need not put right.
+    let before = worst("tracking/rig/+ hysteresis/triangle 1 Hz");
+    let after = worst("tracking/rig/retuned/+ hysteresis/triangle 1 Hz");
+    assert!(after < 0.2 * before, "{before} nm, retuned {after} nm");
+    assert!(out.join("report.html").is_file());
+
+    let platform = host_sim::platform::presets::named("belfiore-planar").unwrap();
+    std::fs::write(&file, platform.to_toml()).unwrap();
+    let said = refused(run(&["bench", "--rig", text(&file), "--out", text(&out)]));
+    assert!(said.contains("corrected.toml: a platform; expected a stage"), "{said}");
+    rig.axes.pop();
+    rig.effects.clear();
+    std::fs::write(&file, rig.to_toml()).unwrap();
+    let said = refused(run(&["bench", "--rig", text(&file), "--out", text(&out)]));
+    assert!(said.contains("a rig of 2 axes; the controller has 3"), "{said}");
+}
+
+#[test]
 fn wrong_input_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let words = refused(run(&["status", "--connect", "127.0.0.1:1"]));

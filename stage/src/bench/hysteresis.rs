@@ -63,12 +63,27 @@ pub fn run(book: &mut Book) -> anyhow::Result<()> {
         "Axis 1 follows 1 Hz triangles from 0 V to 30, 60 and 90 V, three periods from the depoled state. The first rise \
          is larger than the settled stroke: part of the charge stays in the stack.",
     );
+    loops(book, &[("stack alone", &alone), ("in the mechanism", &assembled)], 90.0)
+}
+
+/// The same of a rig of somebody's own, up to `peak_v`.
+pub fn of_rig(book: &mut Book, rigs: &[(&str, &Rig)], peak_v: f64) -> anyhow::Result<()> {
+    book.section("Hysteresis");
+    book.paragraph(&format!(
+        "Axis 1 follows 1 Hz triangles from 0 V to a third, two thirds and all of {peak_v:.0} V, three periods from the depoled state."
+    ));
+    loops(book, rigs, peak_v)
+}
+
+/// Loops of axis 1 of each rig: a table and a figure each.
+fn loops(book: &mut Book, rigs: &[(&str, &Rig)], peak_v: f64) -> anyhow::Result<()> {
     let mut rows = Vec::new();
     let mut figures: Vec<(Box<dyn report::plot::Figure>, String)> = Vec::new();
-    for (name, rig) in [("stack alone", &alone), ("in the mechanism", &assembled)] {
+    for &(name, rig) in rigs {
         let mut plot =
             LinePlot::new(format!("Axis 1, {name}")).x("drive (V)").y("displacement (um)");
-        for (i, peak_v) in [30.0, 60.0, 90.0].into_iter().enumerate() {
+        for (i, share) in [1.0, 2.0, 3.0].into_iter().enumerate() {
+            let peak_v = peak_v * share / 3.0;
             let l = measure(rig, peak_v)?;
             rows.push(vec![
                 name.to_string(),

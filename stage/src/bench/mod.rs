@@ -1,4 +1,4 @@
-//! `flexstage bench`: the papers' experiments and the controller, in simulation, without hardware or options.
+//! `flexstage bench`: the papers' experiments and the controller, in simulation, without hardware; with `--rig` on a rig of one's own.
 //!
 //! One file an experiment; each takes the [`Book`], adds its table, its figures and its results, and knows nothing of the
 //! others. Everything printed was simulated in the same run; errors are of the true position, not of the gauge's reading.
@@ -14,6 +14,7 @@ mod book;
 mod coupling;
 mod hysteresis;
 mod identification;
+mod own;
 mod platform;
 mod speed;
 mod stiffness_match;
@@ -26,6 +27,10 @@ use crate::say::say;
 /// Options of `flexstage bench`.
 #[derive(clap::Args)]
 pub struct Args {
+    /// Rig file of a stage of three axes: its loops, its coupling, and the controller on it, designed without the effects in the file and
+    /// retuned for them. Without it the papers' rigs are simulated.
+    #[arg(long)]
+    rig: Option<PathBuf>,
     /// Folder for report.html and bench.json.
     #[arg(long, default_value = "bench-report")]
     out: PathBuf,
@@ -43,16 +48,26 @@ const EXPERIMENTS: &[Experiment] = &[
     ("speed", speed::run),
 ];
 
+type Run<'a> = Box<dyn Fn(&mut Book) -> anyhow::Result<()> + 'a>;
+
 /// Run the command.
 pub fn run(args: Args) -> anyhow::Result<()> {
+    let rig = args.rig.as_deref().map(own::load).transpose()?;
     std::fs::create_dir_all(&args.out)
         .with_context(|| format!("{}: cannot create the output folder", args.out.display()))?;
-    let bar = ProgressBar::new(EXPERIMENTS.len() as u64);
+    let own = rig.iter().flat_map(|rig| {
+        own::EXPERIMENTS
+            .map(|(name, run)| (name, Box::new(move |book: &mut Book| run(book, rig)) as Run))
+    });
+    let of_the_papers = EXPERIMENTS.iter().filter(|_| rig.is_none());
+    let of_the_papers = of_the_papers.map(|&(name, run)| (name, Box::new(run) as Run));
+    let experiments: Vec<(&str, Run)> = own.chain(of_the_papers).collect();
+    let bar = ProgressBar::new(experiments.len() as u64);
     bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed} {msg}")?);
     let mut book = Book::new(bar.clone());
     let start = Instant::now();
-    for (name, experiment) in EXPERIMENTS {
-        bar.set_message(*name);
+    for (name, experiment) in experiments {
+        bar.set_message(name);
         if !std::io::stderr().is_terminal() {
             eprintln!("bench: {name}");
         }

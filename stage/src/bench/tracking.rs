@@ -14,9 +14,20 @@ use report::plot::{Bar, BarPlot, LinePlot, Series};
 use super::book::{Book, Outcome};
 use super::identification;
 
-const LOW_UM: f32 = 2.0;
-const HIGH_UM: f32 = 12.0;
-const STROKE_UM: f64 = (HIGH_UM - LOW_UM) as f64;
+/// Ends of the motions, um.
+#[derive(Clone, Copy)]
+pub struct Ends {
+    pub low_um: f32,
+    pub high_um: f32,
+}
+
+impl Ends {
+    const OF_THE_PAPER: Self = Self { low_um: 2.0, high_um: 12.0 };
+
+    fn stroke_um(self) -> f64 {
+        f64::from(self.high_um - self.low_um)
+    }
+}
 
 #[derive(Clone, Copy, PartialEq)]
 enum Form {
@@ -35,8 +46,8 @@ impl Case {
         let form = if self.form == Form::Triangle { "triangle" } else { "sine" };
         format!("{form} {} Hz", self.hz)
     }
-    fn generator(self) -> GeneratorSettings {
-        let wave = Wave::between(LOW_UM, HIGH_UM, self.hz);
+    fn generator(self, ends: Ends) -> GeneratorSettings {
+        let wave = Wave::between(ends.low_um, ends.high_um, self.hz);
         if self.form == Form::Triangle {
             GeneratorSettings::Triangle(wave)
         } else {
@@ -76,13 +87,14 @@ fn controllers(rig: &Rig, lines: &[(f64, f64)], coarse: bool) -> Vec<(&'static s
         }
         settings
     };
-    let linear = each(&|k, axis| {
+    let mut linear = each(&|k, axis| {
         let (v_per_um, offset_v) = lines[k];
         let converters = (axis.gauge.clone(), axis.monitor.clone(), axis.dac.clone());
         *axis = AxisSettings::open_loop(v_per_um as f32);
         axis.origin_um = (-offset_v / v_per_um) as f32;
         (axis.gauge, axis.monitor, axis.dac) = converters;
     });
+    linear.cross_stiffness_n_per_m = Default::default();
     let stiffness = each(&|_, axis| {
         axis.feedforward.hysteresis = false;
         axis.feedforward.creep.clear();
@@ -99,7 +111,12 @@ fn controllers(rig: &Rig, lines: &[(f64, f64)], coarse: bool) -> Vec<(&'static s
     ]
 }
 
-fn track(stage: &Rig, settings: &Settings, case: Case, seed: u64) -> anyhow::Result<Vec<Errors>> {
+fn track(
+    stage: &Rig,
+    settings: &Settings,
+    (case, ends): (Case, Ends),
+    seed: u64,
+) -> anyhow::Result<Vec<Errors>> {
     let mut settings = settings.clone();
     for axis in &mut settings.axes {
         // Feedforward alone may be far off: that is a result here, not a fault.
@@ -107,7 +124,7 @@ fn track(stage: &Rig, settings: &Settings, case: Case, seed: u64) -> anyhow::Res
     }
     let mut bench = ClosedLoop::new(stage, &settings, Options { seed, ..Options::default() })?;
     bench.arm()?;
-    let generators: Vec<_> = (0..AXES as u8).map(|axis| (axis, case.generator())).collect();
+    let generators: Vec<_> = (0..AXES as u8).map(|axis| (axis, case.generator(ends))).collect();
     bench.start(&generators)?;
     let period = (10_000.0 / case.hz).round() as u64;
     bench.run(3 * period.max(3_000), |_| {});
@@ -143,11 +160,13 @@ pub fn run(book: &mut Book) -> anyhow::Result<()> {
     let found = identification::identify(&different, &nominal, 102)?;
     let learned = controllers(&found.rig, &lines(&found), true);
 
-    let full = table(book, "Tracking, stage as modelled", "nominal", &nominal, &known)?;
+    let ends = Ends::OF_THE_PAPER;
+    let full = table(book, "Tracking, stage as modelled", ("nominal", &nominal), &known, ends)?;
     summary(book, "nominal", &full);
     identification_section(book, &found);
-    let full = table(book, "Tracking, different stage", "different", &different, &learned)?;
+    let full = table(book, "Tracking, different stage", ("different", &different), &learned, ends)?;
     summary(book, "different", &full);
+    learned_verdict(book, &full);
     Ok(())
 }
 
@@ -214,14 +233,16 @@ type Full = Vec<(Case, Vec<Run>)>;
 fn table(
     book: &mut Book,
     heading: &str,
-    plant: &str,
-    stage: &Rig,
+    (plant, stage): (&str, &Rig),
     controllers: &[(&'static str, Settings)],
+    ends: Ends,
 ) -> anyhow::Result<Full> {
     book.section(heading);
-    book.paragraph(
-        "Three axes at once, 2 to 12 um; rms error of the true position in percent of the stroke, worst axis (nm in brackets).",
-    );
+    book.paragraph(&format!(
+        "Three axes at once, {:.3} to {:.3} um; rms error of the true position in percent of the stroke, worst axis (nm in brackets).",
+        ends.low_um, ends.high_um,
+    ));
+    let stroke_um = ends.stroke_um();
     let mut full = Vec::new();
     let mut rows = Vec::new();
     for case in CASES {
@@ -229,16 +250,16 @@ fn table(
         let mut row = vec![case.name()];
         let mut by_controller = Vec::new();
         for (name, settings) in controllers {
-            let errors = track(stage, settings, case, 200)?;
+            let errors = track(stage, settings, (case, ends), 200)?;
             let worst = errors.iter().map(|e| e.rms_nm).fold(0.0, f64::max);
-            row.push(format!("{:.3} ({worst:.1})", worst / STROKE_UM / 10.0));
+            row.push(format!("{:.3} ({worst:.1})", worst / stroke_um / 10.0));
             for (axis, e) in errors.iter().enumerate() {
                 let name = format!("tracking/{plant}/{name}/{}", case.name());
-                book.outcome(Outcome::new(name, axis, STROKE_UM, e.rms_nm, e.max_nm));
+                book.outcome(Outcome::new(name, axis, stroke_um, e.rms_nm, e.max_nm));
             }
             by_controller.push(Run {
                 controller: name,
-                worst_percent: worst / STROKE_UM / 10.0,
+                worst_percent: worst / stroke_um / 10.0,
                 trace: errors[0].trace.iter().map(|(t, _, e)| (*t, *e)).collect(),
             });
         }
@@ -276,20 +297,64 @@ fn summary(book: &mut Book, plant: &str, full: &Full) {
     }
     figures.push((Box::new(bars), "What each part of the controller buys.".to_string()));
     book.figures(figures);
-    if plant == "different" {
-        let percent = |form: Form, hz: f32, controller: usize| {
-            full.iter()
-                .find(|(case, _)| case.form == form && case.hz == hz)
-                .map_or(f64::NAN, |(_, runs)| runs[controller].worst_percent)
-        };
-        book.verdict(&format!(
-            "On a stage that it knows from a recording only, the controller follows 10 um sines with {:.3} % rms error at 1 Hz, \
-             {:.3} % at 10 Hz and {:.3} % at 100 Hz; its feedforward alone reaches {:.2} % at 1 Hz. Worst of three axes that \
-             move at once.",
-            percent(Form::Sine, 1.0, 4),
-            percent(Form::Sine, 10.0, 4),
-            percent(Form::Sine, 100.0, 4),
-            percent(Form::Sine, 1.0, 2),
-        ));
+}
+
+/// Worst of the axes with one controller (from 0) on one motion, % of the stroke.
+fn percent(full: &Full, form: Form, hz: f32, controller: usize) -> f64 {
+    full.iter()
+        .find(|(case, _)| case.form == form && case.hz == hz)
+        .map_or(f64::NAN, |(_, runs)| runs[controller].worst_percent)
+}
+
+fn learned_verdict(book: &mut Book, full: &Full) {
+    let percent = |hz, controller| percent(full, Form::Sine, hz, controller);
+    book.verdict(&format!(
+        "On a stage that it knows from a recording only, the controller follows 10 um sines with {:.3} % rms error at 1 Hz, \
+         {:.3} % at 10 Hz and {:.3} % at 100 Hz; its feedforward alone reaches {:.2} % at 1 Hz. Worst of three axes that \
+         move at once.",
+        percent(1.0, 4),
+        percent(10.0, 4),
+        percent(100.0, 4),
+        percent(1.0, 2),
+    ));
+}
+
+/// On a rig of somebody's own: the controller as it is designed for the model without effects, and retuned for the one with them.
+pub fn of_rig(
+    book: &mut Book,
+    rig: &Rig,
+    believed: &Rig,
+    (ends, has_effects): (Ends, bool),
+) -> anyhow::Result<()> {
+    let straight = |rig: &Rig| -> Vec<(f64, f64)> {
+        rig.axes.iter().map(|axis| (1.0e-6 / axis.rest_m_per_v(), 0.0)).collect()
+    };
+    let plant = ("rig", rig);
+    if !has_effects {
+        let full = table(book, "Tracking", plant, &controllers(rig, &straight(rig), false), ends)?;
+        summary(book, "given", &full);
+        return Ok(());
     }
+    let settings = controllers(believed, &straight(believed), false);
+    let before = table(book, "Tracking, designed without the effects", plant, &settings, ends)?;
+    let settings = controllers(rig, &straight(rig), false);
+    let retuned = ("rig/retuned", rig);
+    let after = table(book, "Tracking, retuned for the effects", retuned, &settings, ends)?;
+    summary(book, "retuned", &after);
+    let percent = |full, hz, controller| percent(full, Form::Sine, hz, controller);
+    let said = format!(
+        "Worst axis, sines: retuned for the effects of the rig file the controller follows with {:.3} % rms error at 1 Hz, {:.3} % at 10 Hz and \
+         {:.3} % at 100 Hz ({:.3} %, {:.3} % and {:.3} % designed without them); its feedforward alone with {:.3} % at 10 Hz ({:.3} %).",
+        percent(&after, 1.0, 4),
+        percent(&after, 10.0, 4),
+        percent(&after, 100.0, 4),
+        percent(&before, 1.0, 4),
+        percent(&before, 10.0, 4),
+        percent(&before, 100.0, 4),
+        percent(&after, 10.0, 2),
+        percent(&before, 10.0, 2),
+    );
+    book.finding(&said);
+    book.verdict(&said);
+    Ok(())
 }

@@ -1,0 +1,74 @@
+//! `bench --rig RIG.toml`: the experiments and the controller on a rig of one's own, with the effects that `diagnose` wrote into its file and
+//! without them. What retuning the closed loop on the corrected model buys is the difference of two tables.
+
+use std::path::Path;
+
+use anyhow::bail;
+use flexstage::AXES;
+use host_sim::{AnyRig, Rig};
+
+use super::book::Book;
+use super::tracking::Ends;
+use super::{coupling, hysteresis, tracking};
+
+/// Drive of the first paper's experiments, V; less where an amplifier ends before.
+const PEAK_V: f64 = 90.0;
+/// Share of what an axis reaches at the amplifier's upper rail that motions use: the loop and the effects need the rest.
+const USED: f64 = 0.7;
+
+/// A stage of three axes from a file.
+pub fn load(path: &Path) -> anyhow::Result<Rig> {
+    let rig = match AnyRig::load(path)? {
+        AnyRig::Stage(rig) => rig,
+        AnyRig::Platform(_) => bail!(
+            "{}: a platform; expected a stage driven by stacks (`bench` without --rig simulates the second paper's platforms)",
+            path.display()
+        ),
+    };
+    if rig.axes.len() != AXES {
+        bail!(
+            "{}: a rig of {} axes; the controller has {AXES}, and the experiments use all of them",
+            path.display(),
+            rig.axes.len()
+        );
+    }
+    Ok(rig)
+}
+
+/// Motions that every axis can make without and with its effects, of the size of the paper's at most.
+fn ends(rig: &Rig) -> Ends {
+    let reach = |axis: &host_sim::rig::Axis| axis.rest_m_per_v() * axis.amplifier.max_v * 1.0e6;
+    let high = rig.axes.iter().map(reach).fold(f64::INFINITY, f64::min) * USED;
+    let high_um = high.clamp(0.0, 12.0) as f32;
+    Ends { low_um: high_um / 6.0, high_um }
+}
+
+/// An experiment on a rig.
+type OnRig = fn(&mut Book, &Rig) -> anyhow::Result<()>;
+/// The same on several rigs, by name, up to a drive (V).
+type OnRigs = fn(&mut Book, &[(&str, &Rig)], f64) -> anyhow::Result<()>;
+
+/// What runs on it.
+pub const EXPERIMENTS: [(&str, OnRig); 3] = [
+    ("coupling between axes", |book, rig| with_and_without(book, rig, coupling::of_rig)),
+    ("hysteresis", |book, rig| with_and_without(book, rig, hysteresis::of_rig)),
+    ("tracking", |book, rig| {
+        tracking::of_rig(book, rig, &believed(rig), (ends(rig), !rig.effects.is_empty()))
+    }),
+];
+
+/// The rig as it was believed before something was found missing.
+fn believed(rig: &Rig) -> Rig {
+    Rig { effects: Vec::new(), ..rig.clone() }
+}
+
+fn with_and_without(book: &mut Book, rig: &Rig, experiment: OnRigs) -> anyhow::Result<()> {
+    let rails = rig.axes.iter().map(|axis| axis.amplifier.max_v);
+    let peak_v = rails.fold(PEAK_V, f64::min);
+    if rig.effects.is_empty() {
+        experiment(book, &[("as given", rig)], peak_v)
+    } else {
+        let rigs = [("without its effects", &believed(rig)), ("with its effects", rig)];
+        experiment(book, &rigs, peak_v)
+    }
+}
