@@ -3,6 +3,8 @@
 //! The different stage is known to the controller only through [`identification`](super::identification) of recordings
 //! of it. All three axes run at once; errors are reference less true position, over whole periods after the start.
 
+use std::collections::BTreeMap;
+
 use flexstage::generator::{GeneratorSettings, Wave};
 use flexstage::settings::{AxisSettings, FeedbackSettings};
 use flexstage::{AXES, Settings};
@@ -30,13 +32,13 @@ impl Ends {
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum Form {
+pub(super) enum Form {
     Triangle,
     Sine,
 }
 
 #[derive(Clone, Copy)]
-struct Case {
+pub(super) struct Case {
     form: Form,
     hz: f32,
 }
@@ -75,7 +77,11 @@ struct Errors {
 }
 
 /// The controllers that are compared: name and settings.
-fn controllers(rig: &Rig, lines: &[(f64, f64)], coarse: bool) -> Vec<(&'static str, Settings)> {
+pub(super) fn controllers(
+    rig: &Rig,
+    lines: &[(f64, f64)],
+    coarse: bool,
+) -> Vec<(&'static str, Settings)> {
     let mut full = controller_settings(rig);
     if coarse {
         identification::coarse_converters(&mut full);
@@ -111,21 +117,23 @@ fn controllers(rig: &Rig, lines: &[(f64, f64)], coarse: bool) -> Vec<(&'static s
     ]
 }
 
+/// Errors of the axes, or the fault that ended it.
 fn track(
     stage: &Rig,
     settings: &Settings,
     (case, ends): (Case, Ends),
     seed: u64,
-) -> anyhow::Result<Vec<Errors>> {
+) -> anyhow::Result<Result<Vec<Errors>, String>> {
     let mut settings = settings.clone();
     for axis in &mut settings.axes {
         // Feedforward alone may be far off: that is a result here, not a fault.
         axis.limits.following_error_um = 0.0;
     }
     let mut bench = ClosedLoop::new(stage, &settings, Options { seed, ..Options::default() })?;
-    bench.arm()?;
     let generators: Vec<_> = (0..AXES as u8).map(|axis| (axis, case.generator(ends))).collect();
-    bench.start(&generators)?;
+    if let Err(fault) = bench.arm().and_then(|()| bench.start(&generators)) {
+        return Ok(Err(fault.to_string()));
+    }
     let period = (10_000.0 / case.hz).round() as u64;
     bench.run(3 * period.max(3_000), |_| {});
     let scored = period * (10_000 / period).max(3);
@@ -146,7 +154,8 @@ fn track(
     for errors in &mut errors {
         errors.rms_nm = (errors.rms_nm / scored as f64).sqrt();
     }
-    Ok(errors)
+    let faults: Vec<_> = bench.controller().faults().describe().collect();
+    Ok(if faults.is_empty() { Ok(errors) } else { Err(faults.join("; ")) })
 }
 
 /// Run the experiment.
@@ -219,18 +228,18 @@ fn identification_section(book: &mut Book, found: &ForControl) {
 }
 
 /// One controller on one motion.
-struct Run {
+pub(super) struct Run {
     controller: &'static str,
     /// Of the axis that does worst, as in the table.
-    worst_percent: f64,
+    pub(super) worst_percent: f64,
     /// Error of the first axis over a period, for the figures.
     trace: Vec<(f64, f64)>,
 }
 
 /// All controllers, a motion each.
-type Full = Vec<(Case, Vec<Run>)>;
+pub(super) type Full = Vec<(Case, Vec<Run>)>;
 
-fn table(
+pub(super) fn table(
     book: &mut Book,
     heading: &str,
     (plant, stage): (&str, &Rig),
@@ -239,18 +248,31 @@ fn table(
 ) -> anyhow::Result<Full> {
     book.section(heading);
     book.paragraph(&format!(
-        "Three axes at once, {:.3} to {:.3} um; rms error of the true position in percent of the stroke, worst axis (nm in brackets).",
+        "Three axes at once, {} to {} um; rms error of the true position in percent of the stroke, worst axis (nm in brackets).",
         ends.low_um, ends.high_um,
     ));
     let stroke_um = ends.stroke_um();
     let mut full = Vec::new();
     let mut rows = Vec::new();
+    let mut faults: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for case in CASES {
         book.note(format!("tracking: {plant} stage, {}", case.name()));
         let mut row = vec![case.name()];
         let mut by_controller = Vec::new();
         for (name, settings) in controllers {
-            let errors = track(stage, settings, (case, ends), 200)?;
+            let errors = match track(stage, settings, (case, ends), 200)? {
+                Ok(errors) => errors,
+                Err(fault) => {
+                    row.push("fault".into());
+                    faults.entry(fault).or_default().push(format!("{name} on {}", case.name()));
+                    by_controller.push(Run {
+                        controller: name,
+                        worst_percent: f64::NAN,
+                        trace: Vec::new(),
+                    });
+                    continue;
+                }
+            };
             let worst = errors.iter().map(|e| e.rms_nm).fold(0.0, f64::max);
             row.push(format!("{:.3} ({worst:.1})", worst / stroke_um / 10.0));
             for (axis, e) in errors.iter().enumerate() {
@@ -269,16 +291,20 @@ fn table(
     let titles: Vec<&str> =
         ["motion"].into_iter().chain(controllers.iter().map(|(name, _)| *name)).collect();
     book.table(&titles, &rows);
+    for (fault, with) in &faults {
+        book.finding(&format!("The loop opened with {}: {fault}.", with.join("; ")));
+    }
     Ok(full)
 }
 
-fn summary(book: &mut Book, plant: &str, full: &Full) {
+pub(super) fn summary(book: &mut Book, plant: &str, full: &Full) {
     let mut figures: Vec<(Box<dyn report::plot::Figure>, String)> = Vec::new();
     for (case, runs) in full.iter().filter(|(case, _)| case.form == Form::Sine) {
         let mut plot = LinePlot::new(format!("{}, {plant} stage", case.name()))
             .x("time (periods)")
             .y("reference - true position (nm)");
-        for (i, run) in runs.iter().enumerate().filter(|(i, _)| *i >= 2) {
+        for (i, run) in runs.iter().enumerate().filter(|(i, run)| *i >= 2 && !run.trace.is_empty())
+        {
             plot = plot.series(Series::line(run.controller, run.trace.clone()).color(i - 2));
         }
         figures.push((
@@ -291,7 +317,7 @@ fn summary(book: &mut Book, plant: &str, full: &Full) {
     if let Some((_, runs)) =
         full.iter().find(|(case, _)| case.form == Form::Sine && case.hz == 10.0)
     {
-        for run in runs {
+        for run in runs.iter().filter(|run| run.worst_percent.is_finite()) {
             bars = bars.bar(Bar::new(run.controller, run.worst_percent));
         }
     }
@@ -300,7 +326,7 @@ fn summary(book: &mut Book, plant: &str, full: &Full) {
 }
 
 /// Worst of the axes with one controller (from 0) on one motion, % of the stroke.
-fn percent(full: &Full, form: Form, hz: f32, controller: usize) -> f64 {
+pub(super) fn percent(full: &Full, form: Form, hz: f32, controller: usize) -> f64 {
     full.iter()
         .find(|(case, _)| case.form == form && case.hz == hz)
         .map_or(f64::NAN, |(_, runs)| runs[controller].worst_percent)
@@ -317,44 +343,4 @@ fn learned_verdict(book: &mut Book, full: &Full) {
         percent(100.0, 4),
         percent(1.0, 2),
     ));
-}
-
-/// On a rig of somebody's own: the controller as it is designed for the model without effects, and retuned for the one with them.
-pub fn of_rig(
-    book: &mut Book,
-    rig: &Rig,
-    believed: &Rig,
-    (ends, has_effects): (Ends, bool),
-) -> anyhow::Result<()> {
-    let straight = |rig: &Rig| -> Vec<(f64, f64)> {
-        rig.axes.iter().map(|axis| (1.0e-6 / axis.rest_m_per_v(), 0.0)).collect()
-    };
-    let plant = ("rig", rig);
-    if !has_effects {
-        let full = table(book, "Tracking", plant, &controllers(rig, &straight(rig), false), ends)?;
-        summary(book, "given", &full);
-        return Ok(());
-    }
-    let settings = controllers(believed, &straight(believed), false);
-    let before = table(book, "Tracking, designed without the effects", plant, &settings, ends)?;
-    let settings = controllers(rig, &straight(rig), false);
-    let retuned = ("rig/retuned", rig);
-    let after = table(book, "Tracking, retuned for the effects", retuned, &settings, ends)?;
-    summary(book, "retuned", &after);
-    let percent = |full, hz, controller| percent(full, Form::Sine, hz, controller);
-    let said = format!(
-        "Worst axis, sines: retuned for the effects of the rig file the controller follows with {:.3} % rms error at 1 Hz, {:.3} % at 10 Hz and \
-         {:.3} % at 100 Hz ({:.3} %, {:.3} % and {:.3} % designed without them); its feedforward alone with {:.3} % at 10 Hz ({:.3} %).",
-        percent(&after, 1.0, 4),
-        percent(&after, 10.0, 4),
-        percent(&after, 100.0, 4),
-        percent(&before, 1.0, 4),
-        percent(&before, 10.0, 4),
-        percent(&before, 100.0, 4),
-        percent(&after, 10.0, 2),
-        percent(&before, 10.0, 2),
-    );
-    book.finding(&said);
-    book.verdict(&said);
-    Ok(())
 }
