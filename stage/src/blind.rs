@@ -279,6 +279,13 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             outcomes.len()
         )?;
         say!("95 % interval: {:.1} to {:.1} %", 100.0 * share.ci95.0, 100.0 * share.ci95.1)?;
+        let blamed = outcomes.iter().filter(|outcome| !outcome.right);
+        let alike = blamed.filter(|outcome| outcome.left_in_noise().is_some_and(|left| left < 0.5));
+        say!(
+            "of the other {}, {} leave less than half the noise on recordings that were not diagnosed: what is named does the same there",
+            outcomes.len() - right,
+            alike.count()
+        )?;
     } else {
         crate::say::text(format_args!("{}", summary.text()))?;
     }

@@ -101,6 +101,14 @@ pub struct Outcome {
     pub seconds: f64,
 }
 
+impl Outcome {
+    /// What the answer leaves on recordings that the diagnosis never saw, beyond the noise, in multiples of it (in quadrature).
+    pub fn left_in_noise(&self) -> Option<f64> {
+        let floor = self.label.floor_nm;
+        self.judged.map(|judged| (judged.after_nm.powi(2) - floor.powi(2)).max(0.0).sqrt() / floor)
+    }
+}
+
 /// Scores one answer (`None`: the diagnosis failed).
 pub fn score(
     label: &Label,
@@ -459,6 +467,18 @@ mod tests {
         let other = answer("explained", &[("creep", &[1, 3], &[])]);
         let outcome = score(&pair, Some(&other), None, 1.0);
         assert!(!outcome.right && !outcome.all_named);
+    }
+
+    #[test]
+    fn what_is_left_is_counted_beyond_the_noise() {
+        let one = label("single", &[("creep", 5.0)]);
+        let left = |after_nm| {
+            let judged = Judged { before_nm: 50.0, after_nm };
+            score(&one, None, Some(judged), 1.0).left_in_noise().unwrap()
+        };
+        let floor = one.floor_nm;
+        assert!((left(floor * 5.0_f64.sqrt()) - 2.0).abs() < 1e-9);
+        assert_eq!(left(0.9 * floor), 0.0);
     }
 
     /// Values of the Wilson interval from its formula worked by hand: 95 of 100 and 0 of 300.
