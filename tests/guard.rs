@@ -4,7 +4,7 @@ mod common;
 
 use common::Bench;
 use flexstage::settings::AxisSettings;
-use flexstage::{Command, Faults, Generator, GeneratorSettings, Sample, Settings, State, Table};
+use flexstage::{Command, Faults, Generator, GeneratorSettings, Settings, State};
 
 /// A stage that follows to 1 nm or so, without a model or feedback that would answer the faults of a gauge.
 fn armed(following_error_um: f32) -> Bench {
@@ -76,15 +76,11 @@ fn seldom_glitches_are_forgiven() {
 
 /// Ticks with the code of one gauge frozen at what it is, until a fault or for `ticks`.
 fn frozen(bench: &mut Bench, ticks: usize) -> Faults {
-    let held = bench.config.gauge_code(1, bench.drive_v[1] / 7.52);
+    let held = bench.codes()[1];
     for _ in 0..ticks {
-        let drive_v = bench.drive_v;
-        let mut gauge = std::array::from_fn(|a| bench.config.gauge_code(a, drive_v[a] / 7.52));
+        let mut gauge = bench.codes();
         gauge[1] = held;
-        let monitor = std::array::from_fn(|a| bench.config.monitor_code(a, drive_v[a]));
-        let sample = Sample { gauge, monitor, overrun: false };
-        let record = bench.controller.tick(&bench.config, &Table::EMPTY, &sample);
-        bench.drive_v = record.axes.map(|axis| axis.drive.to_f64());
+        bench.tick_reading(gauge);
         if !bench.controller.faults().is_empty() {
             break;
         }
@@ -130,11 +126,7 @@ fn a_lasting_error_of_the_motion_is_a_fault_and_a_short_one_is_not() {
 fn reading(bench: &mut Bench, code: i32, most: usize) -> Faults {
     for nth in 0..most {
         // The converter's noise.
-        let gauge = [code + [0, 3, -2][nth % 3]; 3];
-        let monitor =
-            std::array::from_fn(|axis| bench.config.monitor_code(axis, bench.drive_v[axis]));
-        let sample = Sample { gauge, monitor, overrun: false };
-        bench.controller.tick(&bench.config, &Table::EMPTY, &sample);
+        bench.tick_reading([code + [0, 3, -2][nth % 3]; 3]);
     }
     bench.controller.faults()
 }

@@ -207,19 +207,22 @@ fn start() -> Rest {
 
 /// The settings of the last save, or the defaults; what must be said about them.
 fn load_settings(flash: &flash::Bank2) -> (Settings, Config, bool, Faults) {
-    let (stored, faults) = match store::load(flash) {
+    let (stored, mut faults) = match store::load(flash) {
         Ok(stored) => (stored, Faults::NONE),
         Err(_) => {
             defmt::error!("no settings in flash can be used: running on defaults");
             (None, Faults::BAD_CONFIG)
         }
     };
-    if let Some(stored) = stored
-        && let Ok(config) = Config::build(&stored.settings)
-        && device::fits(&stored.settings).is_ok()
-    {
-        defmt::info!("settings of save {=u32}", stored.number);
-        return (stored.settings, config, true, faults);
+    if let Some(stored) = stored {
+        if let Ok(config) = Config::build(&stored.settings)
+            && device::fits(&stored.settings).is_ok()
+        {
+            defmt::info!("settings of save {=u32}", stored.number);
+            return (stored.settings, config, true, faults);
+        }
+        defmt::error!("the settings in flash are for other converters: running on defaults");
+        faults = Faults::BAD_CONFIG;
     }
     let settings = Settings::default();
     match Config::build(&settings) {

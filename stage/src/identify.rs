@@ -33,12 +33,10 @@ pub struct Args {
 pub fn run(args: Args) -> anyhow::Result<()> {
     // Before the work, not after it.
     crate::output::file_in_new_folders(&args.out)?;
-    recording::check_target(&args.out)?;
     let Some(name) = args.out.file_name().and_then(|n| n.to_str()) else {
         bail!("{}: expected a file name for the calibrated rig", args.out.display());
     };
-    let parent = args.out.parent().filter(|p| !p.as_os_str().is_empty());
-    let parent = parent.unwrap_or(Path::new("."));
+    let parent = crate::output::parent(&args.out);
     let rig = AnyRig::load(&args.rig)?;
     if args.for_control && matches!(rig, AnyRig::Platform(_)) {
         bail!(

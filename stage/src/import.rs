@@ -4,15 +4,15 @@
 //! columns separated by white space, commas, semicolons or tabs. Out: one recording for each realisation, in the contract's
 //! units. Nothing is filtered or resampled; repeated periods are joined.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail, ensure};
-use ndarray::{ArrayD, Axis, IxDyn};
-use ndarray_npy::ReadNpyExt;
-use recording::{Meta, Recording, Together};
+use anyhow::{bail, ensure};
+use recording::{Recording, Together};
 
 use crate::say::say;
+
+mod arrays;
+mod table;
 
 /// Options of `flexstage import`.
 #[derive(clap::Args)]
@@ -67,8 +67,8 @@ pub struct Args {
 /// Run the command.
 pub fn run(args: Args) -> anyhow::Result<()> {
     let recordings = match (&args.drive, &args.position, &args.table) {
-        (Some(drive), Some(position), _) => from_arrays(&args, drive, position)?,
-        (_, _, Some(table)) => vec![from_table(&args, table)?],
+        (Some(drive), Some(position), _) => arrays::read(&args, drive, position)?,
+        (_, _, Some(table)) => vec![table::read(&args, table)?],
         _ => bail!("expected --drive and --position, or --table"),
     };
     let one = recording::check_name(&args.out).is_ok();
@@ -134,280 +134,13 @@ fn micrometres(unit: &str) -> anyhow::Result<f64> {
     }
 }
 
-/// Reads an array of any real number type, and orders its dimensions time, axis, record, period.
-fn read_array(path: &Path, dims: &[String]) -> anyhow::Result<ArrayD<f64>> {
-    let bytes = fs::read(path).with_context(|| format!("{}: cannot open", path.display()))?;
-    let try_read = || -> Result<ArrayD<f64>, ndarray_npy::ReadNpyError> {
-        let wrong = match ArrayD::<f64>::read_npy(bytes.as_slice()) {
-            Ok(array) => return Ok(array),
-            Err(error) => error,
-        };
-        macro_rules! try_types {
-            ($($kind:ty),*) => {$(
-                if let Ok(array) = ArrayD::<$kind>::read_npy(bytes.as_slice()) {
-                    return Ok(array.mapv(|value| value as f64));
-                }
-            )*};
-        }
-        // Beyond 2^53 a 64-bit count is rounded: no voltage or position is told that finely.
-        try_types!(f32, i16, i32, i64, u16, u32, u64, i8, u8);
-        Err(wrong)
-    };
-    let array = try_read().map_err(|error| {
-        anyhow::anyhow!("{}: expected a NumPy array of floats or integers: {error}", path.display())
-    })?;
-    ensure!(
-        array.ndim() == dims.len(),
-        "{}: expected the {} dimensions of --dims {}, found shape {:?}",
-        path.display(),
-        dims.len(),
-        dims.join(","),
-        array.shape()
-    );
-    let mut order = Vec::new();
-    let mut missing = Vec::new();
-    for (place, name) in ["time", "axis", "record", "period"].into_iter().enumerate() {
-        match dims.iter().position(|dim| dim == name) {
-            Some(at) => order.push(at),
-            None => missing.push(place),
-        }
-    }
-    ensure!(
-        order.len() == dims.len() && dims.iter().any(|dim| dim == "time"),
-        "--dims: expected time, and axis, record and period at most once each, found {}",
-        dims.join(",")
-    );
-    let mut array = array.permuted_axes(IxDyn(&order));
-    for place in missing {
-        array = array.insert_axis(Axis(place));
-    }
-    Ok(array)
-}
-
-fn from_arrays(args: &Args, drive: &Path, position: &Path) -> anyhow::Result<Vec<Recording>> {
-    let Some(rate) = args.rate else {
-        bail!("--rate: expected the sample rate (Hz) of the arrays")
-    };
-    let u = read_array(drive, &args.dims)?;
-    let y = read_array(position, &args.dims)?;
-    for dim in [0, 2, 3] {
-        ensure!(
-            u.shape()[dim] == y.shape()[dim],
-            "{}: expected the times, records and periods of {}, {:?}, found {:?}",
-            position.display(),
-            drive.display(),
-            u.shape(),
-            y.shape()
-        );
-    }
-    let (samples, records, periods) = (u.shape()[0], u.shape()[2], u.shape()[3]);
-    let axes = u.shape()[1].max(y.shape()[1]);
-    let (volt, micrometre) = (volts(&args.drive_unit)?, micrometres(&args.position_unit)?);
-    let period_s = args.period.or((periods > 1).then(|| samples as f64 / rate));
-    let settle_s = args.settle.or(period_s.filter(|_| periods > 1)).unwrap_or(0.0);
-    let mut recordings = Vec::new();
-    for record in 0..records {
-        let column = |array: &ArrayD<f64>, axis: usize, scale: f64| -> Option<Vec<f32>> {
-            (axis < array.shape()[1]).then(|| {
-                let periods = (0..periods)
-                    .flat_map(|period| (0..samples).map(move |sample| (sample, period)));
-                periods
-                    .map(|(sample, period)| (array[[sample, axis, record, period]] * scale) as f32)
-                    .collect()
-            })
-        };
-        let experiment = if records > 1 {
-            format!("{}-{}", args.experiment, record + 1)
-        } else {
-            args.experiment.clone()
-        };
-        let meta = Meta {
-            settle_s,
-            period_s,
-            start_s: record as f64 * (samples * periods) as f64 / rate,
-            rig: args.rig.clone(),
-            ..Meta::new(experiment, rate)
-        };
-        let mut recording = Recording::empty(meta, axes);
-        recording.tick = (0..(samples * periods) as u64).collect();
-        for axis in 0..axes {
-            let rows = recording.tick.len();
-            recording.drive_v[axis] = column(&u, axis, volt).unwrap_or_else(|| vec![0.0; rows]);
-            recording.position_um[axis] = column(&y, axis, micrometre);
-        }
-        recordings.push(recording);
-    }
-    ensure!(
-        !recordings.is_empty(),
-        "{}: expected at least one record, found none",
-        drive.display()
-    );
-    Ok(recordings)
-}
-
-/// Splits a line of a table at its separators.
-fn fields(line: &str) -> Vec<&str> {
-    for separator in ['\t', ';', ','] {
-        if line.contains(separator) {
-            return line.split(separator).map(str::trim).collect();
-        }
-    }
-    line.split_whitespace().collect()
-}
-
-/// `FROM..TO`, from 1, both ends taken.
-fn row_range(text: &str) -> anyhow::Result<(usize, usize)> {
-    let wrong = || format!("--rows: expected FROM..TO, counted from 1, found \"{text}\"");
-    let (from, to) = text.split_once("..").with_context(wrong)?;
-    let number = |part: &str, default: usize| match part {
-        "" => Ok(default),
-        part => part.parse().with_context(wrong),
-    };
-    let (from, to) = (number(from, 1)?, number(to, usize::MAX)?);
-    ensure!(1 <= from && from <= to, wrong());
-    Ok((from, to))
-}
-
-fn from_table(args: &Args, path: &Path) -> anyhow::Result<Recording> {
-    let text = fs::read(path).with_context(|| format!("{}: cannot open", path.display()))?;
-    let text = String::from_utf8_lossy(&text);
-    let (first, last) = args.rows.as_deref().map_or(Ok((1, usize::MAX)), row_range)?;
-    let mut header: Vec<&str> = Vec::new();
-    let mut rows: Vec<Vec<f64>> = Vec::new();
-    let mut numeric = 0;
-    let mut not_numeric = None;
-    for (number, line) in text.lines().enumerate() {
-        let line = line.trim().trim_start_matches('\u{feff}');
-        if line.is_empty() || line.starts_with(['#', '%']) {
-            continue;
-        }
-        let fields = fields(line);
-        match fields.iter().map(|field| field.parse::<f64>()).collect::<Result<Vec<_>, _>>() {
-            Ok(row) => {
-                numeric += 1;
-                if (first..=last).contains(&numeric) {
-                    rows.push(row);
-                }
-            }
-            // Lines of text before the first numbers are headers; the last one names the columns.
-            Err(_) if numeric == 0 => {
-                if !header.is_empty() {
-                    not_numeric.get_or_insert((number + 1, line));
-                }
-                header = fields;
-            }
-            Err(_) => {
-                bail!("{}: line {}: expected numbers, found \"{line}\"", path.display(), number + 1)
-            }
-        }
-    }
-    if let (0, Some((number, line))) = (numeric, not_numeric) {
-        bail!(
-            "{}: expected rows of numbers (with points, and no separator at the end), found none; line {number} is \"{}\"",
-            path.display(),
-            line.chars().take(60).collect::<String>()
-        );
-    }
-    ensure!(!rows.is_empty(), "{}: expected rows of numbers, found none", path.display());
-    let width = rows[0].len();
-    if let Some(row) = rows.iter().position(|row| row.len() != width) {
-        let (row, found) = (row + first, rows[row].len());
-        bail!("{}: row {row}: expected {width} columns, found {found}", path.display());
-    }
-    let column = |which: &str| -> anyhow::Result<Vec<f64>> {
-        let index = match which.parse::<usize>() {
-            Ok(number) => number.checked_sub(1),
-            Err(_) => header.iter().position(|name| *name == which),
-        };
-        let Some(index) = index.filter(|index| *index < width) else {
-            bail!(
-                "{}: expected a column {which}, found {width} columns {header:?}",
-                path.display()
-            );
-        };
-        Ok(rows.iter().map(|row| row[index]).collect())
-    };
-    let (rate, tick) = match (&args.time, args.rate) {
-        (Some(which), _) => clock(&column(which)?, path)?,
-        (None, Some(rate)) => (rate, (0..rows.len() as u64).collect()),
-        (None, None) => bail!("expected --rate (Hz) or --time (the column that holds it)"),
-    };
-    let meta = Meta {
-        settle_s: args.settle.unwrap_or(0.0),
-        period_s: args.period,
-        rig: args.rig.clone(),
-        ..Meta::new(args.experiment.clone(), rate)
-    };
-    ensure!(
-        !args.columns.is_empty(),
-        "--columns: expected for example drive_v_1=1,position_um_1=2"
-    );
-    let (volt, micrometre) = (volts(&args.drive_unit)?, micrometres(&args.position_unit)?);
-    let mut recording = Recording::empty(meta, 0);
-    recording.tick = tick;
-    let mut driven = Vec::new();
-    for assignment in &args.columns {
-        let wrong = || format!("--columns: expected NAME_AXIS=COLUMN, found \"{assignment}\"");
-        let (name, which) = assignment.split_once('=').with_context(wrong)?;
-        let (kind, axis) = name.rsplit_once('_').with_context(wrong)?;
-        let axis: usize = axis.parse().with_context(wrong)?;
-        ensure!((1..=recording::MAX_AXES).contains(&axis), wrong());
-        if recording.axes() < axis {
-            let rows = recording.len();
-            recording.drive_v.resize(axis, vec![0.0; rows]);
-            recording.monitor_v.resize(axis, None);
-            recording.position_um.resize(axis, None);
-            recording.reference_um.resize(axis, None);
-        }
-        let scale = |scale: f64| -> anyhow::Result<Vec<f32>> {
-            Ok(column(which)?.into_iter().map(|value| (value * scale) as f32).collect())
-        };
-        match kind {
-            "drive_v" => {
-                recording.drive_v[axis - 1] = scale(volt)?;
-                driven.push(axis);
-            }
-            "monitor_v" => recording.monitor_v[axis - 1] = Some(scale(volt)?),
-            "position_um" => recording.position_um[axis - 1] = Some(scale(micrometre)?),
-            "reference_um" => recording.reference_um[axis - 1] = Some(scale(micrometre)?),
-            _ => bail!(
-                "--columns: expected drive_v, monitor_v, position_um or reference_um, found \"{kind}\""
-            ),
-        }
-    }
-    ensure!(!driven.is_empty(), "--columns: expected a drive_v_K, found none");
-    ensure!(
-        recording.position_um.iter().any(Option::is_some),
-        "--columns: expected a position_um_K, found none"
-    );
-    Ok(recording)
-}
-
-/// Sample rate and sample numbers from times: the median step is a tick; longer ones are lost samples.
-fn clock(times: &[f64], path: &Path) -> anyhow::Result<(f64, Vec<u64>)> {
-    let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    steps.sort_by(f64::total_cmp);
-    let step = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
-    ensure!(
-        step > 0.0 && step.is_finite(),
-        "{}: --time: expected increasing seconds, found a median step of {step} s",
-        path.display()
-    );
-    // Over the whole length, so that a time printed with few digits still gives the rate.
-    let span = times[times.len() - 1] - times[0];
-    let ticks = (span / step).round().max(1.0);
-    let rate = ticks / span;
-    let tick =
-        times.iter().map(|time| ((time - times[0]) * rate).round().max(0.0) as u64).collect();
-    Ok((rate, tick))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use clap::Parser;
     use ndarray::{Array2, Array4};
     use ndarray_npy::WriteNpyExt;
+    use std::fs;
 
     #[derive(Parser)]
     struct Command {

@@ -6,13 +6,13 @@ use anyhow::{Context, bail};
 
 /// A file in a folder that is there.
 pub fn file(path: &Path) -> anyhow::Result<()> {
-    named(path)?;
+    recording::check_target(path)?;
     takes_files(parent(path), path)
 }
 
 /// A file whose folders are made with it.
 pub fn file_in_new_folders(path: &Path) -> anyhow::Result<()> {
-    named(path)?;
+    recording::check_target(path)?;
     let mut folder = parent(path);
     while !folder.exists() && folder != parent(folder) {
         folder = parent(folder);
@@ -20,17 +20,8 @@ pub fn file_in_new_folders(path: &Path) -> anyhow::Result<()> {
     takes_files(folder, path)
 }
 
-fn named(path: &Path) -> anyhow::Result<()> {
-    if path.is_dir() {
-        bail!("{}: expected a file to write, found a folder", path.display());
-    }
-    if path.file_name().is_none() {
-        bail!("{}: expected the name of a file to write", path.display());
-    }
-    Ok(())
-}
-
-fn parent(path: &Path) -> &Path {
+/// The folder that a file is in.
+pub fn parent(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 

@@ -273,6 +273,12 @@ fn the_loop_is_retuned_on_a_corrected_rig() {
     std::fs::write(&file, rig.to_toml()).unwrap();
     let said = refused(run(&["bench", "--rig", text(&file), "--out", text(&out)]));
     assert!(said.contains("a rig of 2 axes; the controller has 3"), "{said}");
+    for axis in &mut rig.axes {
+        axis.amplifier.max_v = 1.0;
+    }
+    std::fs::write(&file, rig.to_toml()).unwrap();
+    let said = refused(run(&["bench", "--rig", text(&file), "--out", text(&out)]));
+    assert!(said.contains("an axis reaches 0.13"), "{said}");
 }
 
 #[test]

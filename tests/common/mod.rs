@@ -31,15 +31,19 @@ impl Bench {
         }
     }
     pub fn tick(&mut self) -> Record {
+        let gauge = self.codes();
+        self.tick_reading(gauge)
+    }
+    /// What the gauges read; never at their ends.
+    pub fn codes(&self) -> [i32; AXES] {
         let at = |axis: usize| self.drive_v[axis] / self.volts_per_um + self.disturbance_um;
-        let sample = Sample {
-            gauge: std::array::from_fn(|axis| {
-                // Never at its end.
-                self.config.gauge_code(axis, at(axis)).clamp(1_100, 64_400)
-            }),
-            monitor: std::array::from_fn(|axis| self.config.monitor_code(axis, self.drive_v[axis])),
-            overrun: false,
-        };
+        std::array::from_fn(|axis| self.config.gauge_code(axis, at(axis)).clamp(1_100, 64_400))
+    }
+    /// A tick in which the gauges read something else.
+    pub fn tick_reading(&mut self, gauge: [i32; AXES]) -> Record {
+        let monitor =
+            std::array::from_fn(|axis| self.config.monitor_code(axis, self.drive_v[axis]));
+        let sample = Sample { gauge, monitor, overrun: false };
         let record = self.controller.tick(&self.config, &self.table, &sample);
         self.drive_v = record.axes.map(|axis| axis.drive.to_f64());
         record

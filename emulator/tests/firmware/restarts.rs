@@ -2,8 +2,10 @@
 
 use emulator::bench::Bench;
 use emulator::time::{MILLISECOND, SECOND};
-use flexstage::Settings;
 use flexstage::link::message::{Command, Refusal, Reply};
+use flexstage::link::session::ready;
+use flexstage::store::{MAX_PAYLOAD, Memory, MemoryError, SLOT_BYTES, save};
+use flexstage::{Faults, Flags, Settings};
 
 use crate::common::{armed, bench, hold, image, settings};
 
@@ -74,6 +76,49 @@ fn a_restart_ends_softly_where_the_drives_are_parked_up() {
     let reply = b.ask(&Command::Arm).unwrap();
     assert_eq!(reply, Reply::Refused(Refusal::Busy));
     ends_softly(&mut b, "restart, parked at 60 V");
+}
+
+/// Flash as a host has it.
+struct Slots([Vec<u8>; 2]);
+
+impl Memory for Slots {
+    fn read(&self, slot: u8) -> Result<&[u8], MemoryError> {
+        Ok(&self.0[usize::from(slot)])
+    }
+    async fn erase(&mut self, slot: u8) -> Result<(), MemoryError> {
+        self.0[usize::from(slot)].fill(0xff);
+        Ok(())
+    }
+    async fn program(
+        &mut self,
+        slot: u8,
+        offset: usize,
+        bytes: [u8; 8],
+    ) -> Result<(), MemoryError> {
+        self.0[usize::from(slot)][offset..offset + 8].copy_from_slice(&bytes);
+        Ok(())
+    }
+}
+
+#[test]
+fn settings_in_flash_for_other_converters_are_reported() {
+    let Some(image) = image() else { return };
+    // As a firmware saved them that did not ask.
+    let mut wrong = settings();
+    wrong.axes[0].dac.full_code = 8_191;
+    let mut slots = Slots([vec![0xff; SLOT_BYTES], vec![0xff; SLOT_BYTES]]);
+    let mut scratch = [0; MAX_PAYLOAD];
+    let (_, slot) = ready(save(&mut slots, &wrong, &mut scratch)).unwrap().unwrap();
+    assert_eq!(slot, 0);
+    let mut b = bench(&image, 46);
+    b.machine.soc_mut().flash.overwrite(0, &slots.0[0]);
+    b.machine.power_on(None);
+    b.run_for(100 * MILLISECOND).unwrap();
+    b.enumerate().unwrap();
+    let status = b.status().unwrap();
+    assert!(Flags(status.flags).faults().contains(Faults::BAD_CONFIG), "{:?}", status.flags);
+    let reply = b.command(&Command::ReadSettings).unwrap();
+    assert_eq!(reply, Reply::Settings(Settings::default()));
 }
 
 #[test]

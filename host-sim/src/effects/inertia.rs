@@ -1,6 +1,6 @@
 //! inertia: the mass that the stack moves, and its damping.
 
-use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
+use super::{Effect, Info, Kind, MOST_OF_STACK, Parameter, Place, Scope, Stage};
 use crate::stages::model::{Model};
 
 pub(super) struct Inertia;
@@ -39,8 +39,8 @@ impl Effect for Inertia {
     fn apply(&self, values: &[f64], place: Place, model: &mut Model, _step_s: f64) {
         let axis = &mut model.axes[place.on()];
         let (piezo, mechanism) = (&axis.piezo, &mut axis.mechanism);
-        mechanism.mass_kg = (mechanism.mass_kg + values[0]).max(-0.99 * piezo.mass_kg);
+        mechanism.mass_kg = (mechanism.mass_kg + values[0]).max(-MOST_OF_STACK * piezo.mass_kg);
         mechanism.damping_n_s_per_m =
-            (mechanism.damping_n_s_per_m + values[1]).max(-0.99 * piezo.damping_n_s_per_m);
+            (mechanism.damping_n_s_per_m + values[1]).max(-MOST_OF_STACK * piezo.damping_n_s_per_m);
     }
 }

@@ -9,6 +9,9 @@ use std::fmt;
 
 use crate::stages::model::Model;
 
+/// Most of the stack's own stiffness, mass or damping that an effect takes from it, as a share: what is left holds it up.
+pub(crate) const MOST_OF_STACK: f64 = 0.99;
+
 mod bend;
 mod hum;
 pub mod walk;

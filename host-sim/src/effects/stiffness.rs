@@ -1,6 +1,6 @@
 //! stiffness: the mechanism is stiffer or softer than thought.
 
-use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
+use super::{Effect, Info, Kind, MOST_OF_STACK, Parameter, Place, Scope, Stage};
 use crate::stages::model::{Model};
 
 pub(super) struct Stiffness;
@@ -38,6 +38,6 @@ impl Effect for Stiffness {
         let axis = &mut model.axes[place.on()];
         let stack = axis.piezo.stiffness_n_per_m;
         axis.mechanism.stiffness_n_per_m =
-            (axis.mechanism.stiffness_n_per_m + values[0]).max(-0.99 * stack);
+            (axis.mechanism.stiffness_n_per_m + values[0]).max(-MOST_OF_STACK * stack);
     }
 }

@@ -95,7 +95,7 @@ impl Rig {
         validate::check(self).map_err(|message| RigError::new(&self.name, message))
     }
 
-    /// The rig as TOML, effects included: `Rig::parse` of it gives the same rig.
+    /// The rig as TOML, effects included, with the values that are simulated: `Rig::parse` of it gives a rig that does the same.
     pub fn to_toml(&self) -> String {
         let axis = self.axes.iter().enumerate().map(|(index, axis)| {
             let Axis { amplifier, piezo, mechanism, sensor, monitor } = axis.clone();

@@ -4,10 +4,7 @@
 //! the last possible ones. A rig is written with what it is simulated with, so that what a search ends with can be read again.
 
 use super::{Axis, Rig, Setting};
-use crate::effects::Place;
-
-/// Share of the stack's own stiffness or mass that is left where an effect takes more than all.
-const LEFT: f64 = 0.01;
+use crate::effects::{MOST_OF_STACK, Place};
 
 /// Lowest value of a parameter of an effect, and what it is counted from: stack and mechanism together.
 fn lowest(axis: &Axis, effect: &str, parameter: &str) -> Option<(f64, f64)> {
@@ -18,7 +15,7 @@ fn lowest(axis: &Axis, effect: &str, parameter: &str) -> Option<(f64, f64)> {
         ("inertia", "added_kg") => (axis.piezo.mass_kg, axis.mechanism.mass_kg),
         _ => return None,
     };
-    Some((LEFT * stack - stack - mechanism, stack + mechanism))
+    Some((-MOST_OF_STACK * stack - mechanism, stack + mechanism))
 }
 
 /// Values of a setting as they are simulated.

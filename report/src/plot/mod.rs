@@ -10,11 +10,13 @@ mod bode;
 mod heat_map;
 mod legend;
 mod line;
+mod series;
 
 pub use bars::{Bar, BarPlot, Waterfall};
 pub use bode::Bode;
 pub use heat_map::HeatMap;
-pub use line::{LinePlot, Series};
+pub use line::LinePlot;
+pub use series::Series;
 
 /// Anything that draws itself as an SVG element.
 pub trait Figure {

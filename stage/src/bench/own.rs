@@ -16,6 +16,9 @@ const PEAK_V: f64 = 90.0;
 /// Share of what an axis reaches at the amplifier's upper rail that motions use: the loop and the effects need the rest.
 const USED: f64 = 0.7;
 
+/// Motions of less tell nothing beside the converters' steps.
+const LEAST_UM: f32 = 1.0;
+
 /// A stage of three axes from a file.
 pub fn load(path: &Path) -> anyhow::Result<Rig> {
     let rig = match AnyRig::load(path)? {
@@ -25,6 +28,14 @@ pub fn load(path: &Path) -> anyhow::Result<Rig> {
             path.display()
         ),
     };
+    if ends(&rig).high_um < LEAST_UM {
+        bail!(
+            "{}: an axis reaches {:.3} um at its amplifier's upper rail: expected a stage that can make motions of {LEAST_UM} um with {:.0} % of it",
+            path.display(),
+            reach_um(&rig),
+            100.0 * USED
+        );
+    }
     if rig.axes.len() != AXES {
         bail!(
             "{}: a rig of {} axes; the controller has {AXES}, and the experiments use all of them",
@@ -35,13 +46,17 @@ pub fn load(path: &Path) -> anyhow::Result<Rig> {
     Ok(rig)
 }
 
+/// What the axis that reaches least reaches.
+fn reach_um(rig: &Rig) -> f64 {
+    let reach = |axis: &host_sim::rig::Axis| axis.rest_m_per_v() * axis.amplifier.max_v * 1.0e6;
+    rig.axes.iter().map(reach).fold(f64::INFINITY, f64::min)
+}
+
 /// Motions that every axis can make without and with its effects, of the size of the paper's at most.
 fn ends(rig: &Rig) -> Ends {
-    let reach = |axis: &host_sim::rig::Axis| axis.rest_m_per_v() * axis.amplifier.max_v * 1.0e6;
-    let high = rig.axes.iter().map(reach).fold(f64::INFINITY, f64::min) * USED;
     // To a tenth of a micrometre, as people choose them.
     let tenths = |um: f64| ((um * 10.0).floor() / 10.0) as f32;
-    let high_um = high.clamp(0.0, 12.0);
+    let high_um = (reach_um(rig) * USED).clamp(0.0, 12.0);
     Ends { low_um: tenths(high_um / 6.0), high_um: tenths(high_um) }
 }
 
