@@ -48,7 +48,7 @@ impl Error {
 fn in_words(error: &io::Error) -> String {
     let words = match error.kind() {
         io::ErrorKind::NotFound => "there is no such file or folder",
-        io::ErrorKind::IsADirectory => "this is a folder, expected a file",
+        io::ErrorKind::IsADirectory => "expected a file, found a folder",
         io::ErrorKind::NotADirectory => "this is a file, expected a folder of recordings",
         io::ErrorKind::PermissionDenied => "not allowed",
         io::ErrorKind::StorageFull => "the disk is full",

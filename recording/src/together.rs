@@ -102,9 +102,9 @@ impl Drop for Together {
 pub fn check_target(path: &Path) -> Result<()> {
     let what = |found: &Metadata| {
         if found.is_dir() {
-            "this is a folder, expected a file"
+            "expected a file, found a folder"
         } else {
-            "this is a device or pipe, expected a file"
+            "expected a file, found a device or pipe"
         }
     };
     match fs::metadata(path) {
