@@ -180,3 +180,8 @@ pub fn explains(closed: f64) -> bool {
 pub fn names(closed: f64) -> bool {
     closed >= PROXY
 }
+
+/// The same of causes of one law.
+pub fn names_of_one_law(closed: f64) -> bool {
+    closed >= PROXY_OF_ONE_LAW
+}

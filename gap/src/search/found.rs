@@ -19,7 +19,7 @@ use crate::judge::monitors::{self, Missing};
 use crate::search::hidden::Hidden;
 use crate::search::last_axis::is_as_elsewhere;
 use crate::search::select::{Breadth, Search};
-use crate::search::wander::{drifts_freely, wanders};
+use crate::search::wander::wanders;
 use crate::session::energy::{Energies, HAS_GAP};
 use crate::session::scene::{Channel, Scene, Stack, Wanted};
 
@@ -295,7 +295,7 @@ pub(crate) fn abstain(
     let has_laws = |axis: usize| {
         let terms = start_terms(&found.model);
         let has_laws = |(term, values): &(Term, Vec<f64>)| {
-            accept::has_many_laws(term.name()) || drifts_freely(term, values)
+            accept::has_many_laws(term.name()) || wanders(term, values)
         };
         terms.iter().any(|known| has_laws(known) && reaches(rig, &known.0, axis))
     };

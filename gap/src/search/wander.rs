@@ -14,8 +14,11 @@ use crate::Error;
 use crate::fitting::fit::Effort;
 use crate::fitting::knobs::{AHEAD, WANDER_S, WANDERS, axes_seen};
 use crate::fitting::model::{Model, Term};
+use crate::judge::accept;
 use crate::search::prune::HUM;
 use crate::search::select::{CLOSED, Search};
+use crate::search::worth::WORTH_ABSOLUTE;
+use crate::session::energy::Energies;
 use crate::session::floor::Kind;
 use crate::session::scene::{Channel, Stack};
 use crate::session::spectra::{Envelope, envelope};
@@ -26,6 +29,8 @@ const DRIFT: &str = "sensor-drift";
 const MOST: f64 = 0.9;
 /// Share of what the plain effect leaves that one which wanders may leave at most.
 const MUCH_LESS: f64 = 0.3;
+/// ... and share of it, by cost, that one which leaves that little of the positions has to take off.
+const LESS: f64 = 0.1;
 /// Parts of a session, as many as a drift has terms, in which a jump is over, and the share of the squares of all changes that it has.
 const JUMP: usize = 3;
 const MOST_IN_A_JUMP: f64 = 0.8;
@@ -81,8 +86,35 @@ impl Search<'_> {
         let line = model.fit.cost - (1.0 - MUCH_LESS) * left;
         let effort = Effort { iterations, hopeless: f64::INFINITY, ..effort };
         let other = self.fit_model(model.terms.clone(), start, effort)?;
-        let is_there = other.fit.cost < line && self.goes_on(&other);
+        let is_less = other.fit.cost < line || self.drifts_by_much(&model, &other, mask)?;
+        let is_there = is_less && self.goes_on(&other);
         Ok(if is_there { other } else { model })
+    }
+
+    /// Whether a drift that wanders takes most of what a plain one leaves of the positions of the axes in `mask`, or may be named there where the plain one,
+    /// which has one law, may not. By cost one that goes as chance has it does neither: gauges that drift at rest have that in their noise, against which slow differences
+    /// count for little.
+    fn drifts_by_much(&self, plain: &Model, wandering: &Model, mask: u32) -> Result<bool, Error> {
+        let saved = plain.fit.cost - wandering.fit.cost;
+        if wandering.terms[0].name() != DRIFT
+            || saved < WORTH_ABSOLUTE.max(LESS * self.left_on(&plain.fit.stack, mask))
+        {
+            return Ok(false);
+        }
+        let include = |c: &Channel| (self.include)(c);
+        let raw = |rig| self.scene.raw(rig, include);
+        let [gap, plain, wandering] =
+            [raw(self.nominal)?, raw(&plain.fit.rig)?, raw(&wandering.fit.rig)?];
+        let axes = self.nominal.axes.len();
+        let is_everywhere = |[before, after]: [&Stack; 2], is_enough: &dyn Fn(f64) -> bool| {
+            let energies = Energies::new(self.scene, before, after, &include);
+            let closed = accept::closed_by_axis(&energies, axes).into_iter().enumerate();
+            let mut here = closed.filter(|(axis, _)| mask >> axis & 1 == 1);
+            here.all(|(_, closed)| closed.is_none_or(is_enough))
+        };
+        Ok(is_everywhere([&plain, &wandering], &|closed| closed > 1.0 - MUCH_LESS)
+            || (is_everywhere([&gap, &wandering], &accept::names)
+                && !is_everywhere([&gap, &plain], &accept::names_of_one_law)))
     }
 
     /// Whether a drift goes on, on some axis: one that jumps once and stays is an offset that something before it hid.
