@@ -6,6 +6,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use recording::Session;
 
 use crate::diagnosis::{Diagnosis, RecordingGap, Role, Verdict};
+use crate::fitting::guess::Ranges;
 use crate::fitting::knobs::EffectRef;
 use crate::judge::accept::{self, AxisGapSize};
 use crate::judge::causes::causes_of;
@@ -15,6 +16,7 @@ use crate::locate;
 use crate::looks::{self, Judged, Looked, Looks, Nominal};
 use crate::picture;
 use crate::search::found::{self, Found};
+use crate::search::wander::DRIFT;
 use crate::session::energy::Energies;
 use crate::session::scene::{Channel, Scene, Stack, Wanted};
 use crate::session::split::{hold_out_last_third_of_gap, split};
@@ -116,6 +118,18 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
         past::tell(&mut looked.scene, rig, &effects, &ranges)?;
         let looks = Looks { rig, effects: &effects, ranges: &ranges, exclude: &options.exclude };
         (looked, judged) = looks.run(looked, &excess, by_blocks, &bar)?;
+        let is_drift = |e: &EffectRef| e.info().name == DRIFT;
+        let drifts: Vec<EffectRef> = effects.iter().copied().filter(is_drift).collect();
+        if !judged.was_found && !drifts.is_empty() {
+            bar.set_message("looking for a gauge that drifts as chance has it");
+            let ranges = Ranges { rough_drift: true, ..ranges.clone() };
+            let looks = Looks { effects: &drifts, ranges: &ranges, ..looks };
+            let again = Looked { found: None, ..looked.clone() };
+            let (drifting, believed) = looks.run(again, &excess, by_blocks, &bar)?;
+            if believed.found.is_some() {
+                (looked, judged) = (drifting, believed);
+            }
+        }
     }
     notes.append(&mut judged.notes);
     if let Some(passes) = looked.scene.work.ended_after() {

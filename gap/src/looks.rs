@@ -44,6 +44,7 @@ pub(crate) struct Looks<'a> {
 }
 
 /// A look at a session.
+#[derive(Clone)]
 pub(crate) struct Looked {
     /// The session, with recordings held out.
     pub scene: Scene,

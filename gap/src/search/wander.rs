@@ -24,7 +24,7 @@ use crate::session::scene::{Channel, Stack};
 use crate::session::spectra::{Envelope, envelope};
 
 /// The effect that drifts.
-const DRIFT: &str = "sensor-drift";
+pub(crate) const DRIFT: &str = "sensor-drift";
 /// Share of the gap that a plain drift leaves at most.
 const MOST: f64 = 0.9;
 /// Share of what the plain effect leaves that one which wanders may leave at most.
@@ -96,7 +96,8 @@ impl Search<'_> {
     /// count for little.
     fn drifts_by_much(&self, plain: &Model, wandering: &Model, mask: u32) -> Result<bool, Error> {
         let saved = plain.fit.cost - wandering.fit.cost;
-        if wandering.terms[0].name() != DRIFT
+        if !self.ranges.rough_drift
+            || wandering.terms[0].name() != DRIFT
             || saved < WORTH_ABSOLUTE.max(LESS * self.left_on(&plain.fit.stack, mask))
         {
             return Ok(false);
