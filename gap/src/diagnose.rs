@@ -6,7 +6,6 @@ use indicatif::{ProgressBar, ProgressStyle};
 use recording::Session;
 
 use crate::diagnosis::{Diagnosis, RecordingGap, Role, Verdict};
-use crate::fitting::guess::Ranges;
 use crate::fitting::knobs::EffectRef;
 use crate::judge::accept::{self, AxisGapSize};
 use crate::judge::causes::causes_of;
@@ -16,7 +15,6 @@ use crate::locate;
 use crate::looks::{self, Judged, Looked, Looks, Nominal};
 use crate::picture;
 use crate::search::found::{self, Found};
-use crate::search::wander::DRIFT;
 use crate::session::energy::Energies;
 use crate::session::scene::{Channel, Scene, Stack, Wanted};
 use crate::session::split::{hold_out_last_third_of_gap, split};
@@ -118,16 +116,10 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
         past::tell(&mut looked.scene, rig, &effects, &ranges)?;
         let looks = Looks { rig, effects: &effects, ranges: &ranges, exclude: &options.exclude };
         (looked, judged) = looks.run(looked, &excess, by_blocks, &bar)?;
-        let is_drift = |e: &EffectRef| e.info().name == DRIFT;
-        let drifts: Vec<EffectRef> = effects.iter().copied().filter(is_drift).collect();
-        if !judged.was_found && !drifts.is_empty() {
+        if !judged.was_found {
             bar.set_message("looking for a gauge that drifts as chance has it");
-            let ranges = Ranges { rough_drift: true, ..ranges.clone() };
-            let looks = Looks { effects: &drifts, ranges: &ranges, ..looks };
-            let again = Looked { found: None, ..looked.clone() };
-            let (drifting, believed) = looks.run(again, &excess, by_blocks, &bar)?;
-            if believed.found.is_some() {
-                (looked, judged) = (drifting, believed);
+            if let Some(drifting) = looks.for_chance_drift(&looked, &excess, by_blocks, &bar)? {
+                (looked, judged) = drifting;
             }
         }
     }

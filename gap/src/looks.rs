@@ -16,6 +16,7 @@ use crate::judge::strangers::Masked;
 use crate::judge::{steady, strangers};
 use crate::locate;
 use crate::search::found::{self, Found};
+use crate::search::wander::DRIFT;
 use crate::session::energy::Energies;
 use crate::session::floor::Kind;
 use crate::session::scene::{Channel, Scene, Stack, TOLERANCE, Wanted};
@@ -119,6 +120,26 @@ impl Looks<'_> {
             return Ok((second, judged));
         }
         Ok((first, judged))
+    }
+
+    /// A look for nothing but a gauge that drifts as chance has it, where no cause was believed; `None` if none is now.
+    pub(crate) fn for_chance_drift(
+        &self,
+        looked: &Looked,
+        excess: &[f64],
+        by_blocks: bool,
+        bar: &ProgressBar,
+    ) -> Result<Option<(Looked, Judged)>, Error> {
+        let drifts: Vec<EffectRef> =
+            self.effects.iter().copied().filter(|e| e.info().name == DRIFT).collect();
+        if drifts.is_empty() {
+            return Ok(None);
+        }
+        let ranges = Ranges { chance_drift: true, ..self.ranges.clone() };
+        let looks = Looks { effects: &drifts, ranges: &ranges, ..*self };
+        let again = Looked { found: None, ..looked.clone() };
+        let (drifting, believed) = looks.run(again, excess, by_blocks, bar)?;
+        Ok(believed.found.is_some().then_some((drifting, believed)))
     }
 
     /// Whether a look accounts for the recordings that it was fitted to: what does not will not do better with others.

@@ -49,7 +49,7 @@ pub struct Ranges {
     /// Whether loops of any kind may be fitted, or plain ones only.
     pub any_loop: bool,
     /// Whether a gauge may drift as chance has it, by what it does to positions rather than by cost.
-    pub rough_drift: bool,
+    pub chance_drift: bool,
 }
 
 impl Ranges {
@@ -127,7 +127,7 @@ pub fn ranges(scene: &Scene, rig: &Rig, raw: &Stack) -> Result<Ranges, Error> {
         session_s: ends_s - starts_s,
         ends_s,
         any_loop: false,
-        rough_drift: false,
+        chance_drift: false,
     })
 }
 

@@ -91,12 +91,12 @@ impl Search<'_> {
         Ok(if is_there { other } else { model })
     }
 
-    /// Whether a drift that wanders takes most of what a plain one leaves of the positions of the axes in `mask`, or may be named there where the plain one,
-    /// which has one law, may not. By cost one that goes as chance has it does neither: gauges that drift at rest have that in their noise, against which slow differences
-    /// count for little.
+    /// Whether a drift that wanders takes most of what a plain one leaves of the positions of the axes in `mask`, or may be named there where the
+    /// plain one, which has one law, may not. By cost one that goes as chance has it does neither: gauges that drift at rest have that in their
+    /// noise, against which slow differences count for little.
     fn drifts_by_much(&self, plain: &Model, wandering: &Model, mask: u32) -> Result<bool, Error> {
         let saved = plain.fit.cost - wandering.fit.cost;
-        if !self.ranges.rough_drift
+        if !self.ranges.chance_drift
             || wandering.terms[0].name() != DRIFT
             || saved < WORTH_ABSOLUTE.max(LESS * self.left_on(&plain.fit.stack, mask))
         {
