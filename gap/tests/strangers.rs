@@ -78,6 +78,19 @@ fn a_coupling_capacitor_is_no_creep() {
 }
 
 #[test]
+fn an_amplifier_whose_gain_changes_is_no_hardening() {
+    let diagnosis = common::drawn_electronics(7101, 2, "drive-bend", &[]);
+    assert_nothing_is_named(&diagnosis, "drive-bend", "drive");
+}
+
+#[test]
+fn without_the_stranger_it_would_be_called_hardening() {
+    let diagnosis = common::drawn_electronics(7101, 2, "drive-bend", &["drive-bend"]);
+    let named: Vec<&str> = diagnosis.causes.iter().map(|c| c.effect.as_str()).collect();
+    assert!(named.contains(&"stiffness-hardening"), "{named:?}");
+}
+
+#[test]
 fn what_fades_from_a_reading_has_not_crept() {
     let fading = [("fading", 0.03), ("time_constant_s", 0.3)];
     let diagnosis = diagnosed("gauge-high-pass", &fading, &[]);

@@ -3,12 +3,16 @@
 use std::f64::consts::TAU;
 
 use host_sim::rig::Rig;
-use host_sim::{Axes, Input, Place, simulate};
+use host_sim::{Axes, Input, Output, Place, simulate};
 
 const RATE_HZ: f64 = 10_000.0;
 
 /// Reading of the first axis, m, under a drive of it (V), without noise.
 fn reading(settings: &[(&str, &str, f64)], samples: usize, volts: impl Fn(f64) -> f64) -> Vec<f64> {
+    simulated(settings, samples, volts).position_m.swap_remove(0)
+}
+
+fn simulated(settings: &[(&str, &str, f64)], samples: usize, volts: impl Fn(f64) -> f64) -> Output {
     let mut rig = Rig::named("handley").expect("library rig");
     for (effect, parameter, value) in settings {
         rig.set(effect, Place::Axis(0), parameter, *value).expect("known parameter");
@@ -25,7 +29,7 @@ fn reading(settings: &[(&str, &str, f64)], samples: usize, volts: impl Fn(f64) -
         monitor_v: None,
         initial: &[],
     };
-    simulate(&rig, &input, Axes::Only(1)).expect("simulation").position_m.swap_remove(0)
+    simulate(&rig, &input, Axes::Only(1)).expect("simulation")
 }
 
 #[test]
@@ -118,5 +122,35 @@ fn what_lasts_fades_from_a_gauge_with_a_high_pass() {
         let kept = held[n] / held[4_999];
         let expected = fading * (faded + kept * (1.0 - faded));
         assert!((left(n) - expected).abs() < 0.02 * fading, "{n}: {} {expected}", left(n));
+    }
+}
+
+#[test]
+fn a_bent_drive_is_off_its_line_as_its_numbers_say() {
+    let stairs = |t: f64| 25.0 * (t / 0.1).floor();
+    let held = |settings: &[(&str, &str, f64)]| {
+        let monitor = simulated(settings, 5_000, stairs).monitor_v.swap_remove(0);
+        // 0, 25, 50, 75, 100 V, each at its end.
+        [999, 1_999, 2_999, 3_999, 4_999].map(|n| monitor[n])
+    };
+    let straight = held(&[]);
+    let off = |settings: &[(&str, &str, f64)]| {
+        let bent = held(settings);
+        [0, 1, 2, 3, 4].map(|step| bent[step] - straight[step])
+    };
+    // At a quarter of the way a bow is three quarters of what it is in the middle, and an ess nearly all.
+    let ess = 36.0 / 3.0_f64.sqrt() * 0.25 * 0.25 * 0.75;
+    let expected = [
+        ([("drive-bend", "bow_v", 0.4), ("drive-bend", "kink_v", 50.0)], [0.0, 0.3, 0.4, 0.3, 0.0]),
+        (
+            [("drive-bend", "ess_v", 0.4), ("drive-bend", "kink_v", 50.0)],
+            [0.0, 0.4 * ess, 0.0, -0.4 * ess, 0.0],
+        ),
+        ([("drive-bend", "kink", 0.02), ("drive-bend", "kink_v", 60.0)], [0.0, 0.0, 0.0, 0.3, 0.8]),
+    ];
+    for (settings, expected) in expected {
+        for (found, expected) in off(&settings).into_iter().zip(expected) {
+            assert!((found - expected).abs() < 1.0e-3, "{settings:?}: {found} V, {expected} V");
+        }
     }
 }

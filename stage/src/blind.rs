@@ -66,7 +66,7 @@ pub struct Args {
     /// Draw effects in further forms: a slew limit for a current limit, few relaxations for a law of creep, and so on.
     #[arg(long)]
     further_forms: bool,
-    /// Faults outside the catalogue: what breaks, or physics of a healthy rig that nobody thought of.
+    /// Faults outside the catalogue: what breaks, or physics or electronics of a healthy rig that nobody thought of.
     #[arg(long, value_enum, default_value_t = Faults::Broken)]
     faults: Faults,
     /// Take each effect out of the catalogue in turn and draw cases of it: the tool must say that it cannot explain them.
@@ -94,6 +94,7 @@ enum SessionKind {
 enum Faults {
     Broken,
     Physics,
+    Electronics,
 }
 
 /// A case to be drawn.
@@ -141,6 +142,7 @@ impl Args {
             faults: match self.faults {
                 Faults::Broken => &Kind::BROKEN,
                 Faults::Physics => &Kind::PHYSICS,
+                Faults::Electronics => &Kind::ELECTRONICS,
             },
         })
     }

@@ -1,5 +1,6 @@
 //! Draws cases: a rig, a session, what is wrong, and recordings to judge by.
 
+use std::cell::RefCell;
 use std::fs;
 use std::io;
 use std::ops::Range;
@@ -121,6 +122,15 @@ pub struct Case {
 impl Case {
     /// Draws case `index` of a seed: the same numbers give the same case.
     pub fn draw(seed: u64, index: u64, draw: &Draw) -> Self {
+        Self::drawn(seed, index, draw, true)
+    }
+
+    /// The same without the recordings that a diagnosis never sees.
+    pub fn draw_unjudged(seed: u64, index: u64, draw: &Draw) -> Self {
+        Self::drawn(seed, index, draw, false)
+    }
+
+    fn drawn(seed: u64, index: u64, draw: &Draw, is_judged: bool) -> Self {
         let mut rng = StdRng::seed_from_u64(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ index);
         let rig = if draw.other_rigs && rng.random_bool(0.5) {
             Rig::another(&mut rng)
@@ -155,7 +165,7 @@ impl Case {
             .collect();
         let mut truth = Vec::new();
         let mut world = World::nominal(&rig);
-        let trial = Trial { rig: &rig, experiments: &experiments };
+        let trial = Trial::new(&rig, &experiments);
         match kind {
             1 | 2 => {
                 for _ in 0..kind {
@@ -184,9 +194,8 @@ impl Case {
                 let on = if rng.random_bool(0.3) { 0..axes } else { one..one + 1 };
                 let (size, gap, sized) = trial.sized_fault(fault, &on, draw.ratio, &mut rng);
                 for axis in on.clone() {
-                    // What is broken throws other dice than when it was sized; physics stays what it was.
-                    let is_physics = Kind::PHYSICS.contains(&fault);
-                    let seed = if is_physics { sized } else { rng.random() };
+                    // What is broken throws other dice than when it was sized; physics and electronics stay what they were.
+                    let seed = if fault.is_steady() { sized } else { rng.random() };
                     world.faults.push(Fault::new(axis, fault, size, seed));
                 }
                 truth.push(Truth {
@@ -200,7 +209,8 @@ impl Case {
             }
             _ => {}
         }
-        let mut runs = simulate_all(&mut world, experiments.iter().chain(&judging), Options::FINE);
+        let judging = if is_judged { &judging[..] } else { &[] };
+        let mut runs = simulate_all(&mut world, experiments.iter().chain(judging), Options::FINE);
         let judging = runs.split_off(experiments.len());
         let floor =
             rig.axes.iter().map(|axis| axis.noise_m.powi(2) + axis.resolution_m.powi(2) / 12.0);
@@ -290,31 +300,55 @@ fn simulate_all<'a>(
 struct Trial<'a> {
     rig: &'a Rig,
     experiments: &'a [Experiment],
+    /// Axes that were followed, and the recordings with nothing wrong.
+    nominal: RefCell<Vec<(u32, Vec<Recording>)>>,
 }
 
-impl Trial<'_> {
-    fn positions(&self, change: impl Fn(&mut World)) -> Vec<Recording> {
-        let mut world = World::nominal(self.rig);
-        change(&mut world);
-        simulate_all(&mut world, self.experiments.iter(), Options::ROUGH)
+/// Rate from which all axes are followed in the same steps, whatever swings on one of them.
+const SAME_STEPS_HZ: f64 = 2500.0;
+
+impl<'a> Trial<'a> {
+    fn new(rig: &'a Rig, experiments: &'a [Experiment]) -> Self {
+        Self { rig, experiments, nominal: RefCell::default() }
     }
 
-    /// Gap over all axes and scored samples of recordings that settle first.
-    fn gap(&self, nominal: &[Recording], changed: &[Recording]) -> Gap {
+    /// Gap over all axes and scored samples of recordings that settle first, of a change that acts on `on` alone unless it couples axes.
+    fn gap(&self, on: impl IntoIterator<Item = usize>, change: impl Fn(&mut World)) -> Gap {
+        let mut world = World::nominal(self.rig);
+        change(&mut world);
+        // Axes that nothing couples are what they were where nothing acts on them: they need not be followed.
+        let is_slow = self.experiments.iter().any(|e| e.sample_rate_hz < SAME_STEPS_HZ);
+        let axes = if is_slow || world.is_coupled() {
+            u32::MAX
+        } else {
+            on.into_iter().fold(0, |mask, axis| mask | 1 << axis)
+        };
+        let options = Options { axes, ..Options::ROUGH };
+        let follow = |world: &mut World| simulate_all(world, self.experiments.iter(), options);
+        let changed = follow(&mut world);
+        let mut known = self.nominal.borrow_mut();
+        if !known.iter().any(|(followed, _)| followed & axes == axes) {
+            known.push((axes, follow(&mut World::nominal(self.rig))));
+        }
+        let nominal = known.iter().find(|(followed, _)| followed & axes == axes);
+        let nominal = nominal.map_or(&[][..], |(_, recordings)| recordings);
         let (mut sum, mut sum_um2, mut count) = (0.0, 0.0, 0usize);
-        for (nominal, changed) in nominal.iter().zip(changed) {
+        for (nominal, changed) in nominal.iter().zip(&changed) {
             if nominal.meta.settle_s == 0.0 {
                 continue;
             }
             let from = nominal.settle_rows();
             for (axis, (a, b)) in nominal.position_um.iter().zip(&changed.position_um).enumerate() {
                 let (Some(a), Some(b)) = (a, b) else { continue };
+                count += a.len() - from;
+                if axes >> axis & 1 == 0 {
+                    continue;
+                }
                 let noise_um = self.rig.axes[axis].noise_m * 1e6;
                 for (a, b) in a[from..].iter().zip(&b[from..]) {
                     sum += (f64::from(a - b) / noise_um).powi(2);
                     sum_um2 += f64::from(a - b).powi(2);
                 }
-                count += a.len() - from;
             }
         }
         let rms = |sum: f64| (sum / count.max(1) as f64).sqrt();
@@ -325,14 +359,13 @@ impl Trial<'_> {
     /// log-uniformly inside the range if it fell outside.
     fn sized(&self, effect: &'static Effect, draw: &Draw, rng: &mut impl Rng) -> (Drawn, Gap) {
         let range = draw.ratio;
-        let nominal = self.positions(|_| {});
         let mut best: Option<(Drawn, Gap)> = None;
         for _ in 0..4 {
             let mut drawn = Drawn::new(effect, self.rig.axes.len(), rng);
             drawn.is_further = draw.further_forms;
             let wanted = rng.random_range(range.0.ln()..range.1.ln()).exp();
             for _ in 0..4 {
-                let gap = self.gap(&nominal, &self.positions(|world| drawn.apply(world)));
+                let gap = self.gap(drawn.axes.iter().copied(), |world| drawn.apply(world));
                 let ratio = gap.ratio;
                 if (range.0..=range.1).contains(&ratio) {
                     return (drawn, gap);
@@ -357,14 +390,13 @@ impl Trial<'_> {
         range: (f64, f64),
         rng: &mut impl Rng,
     ) -> (f64, Gap, u64) {
-        let nominal = self.positions(|_| {});
         let seed = rng.random();
         let mut size = kind.draw(rng);
         let wanted = rng.random_range(range.0.ln()..range.1.ln()).exp();
         let mut gap = Gap::default();
         for _ in 0..4 {
             let faults = || on.clone().map(|axis| Fault::new(axis, kind, size, seed));
-            gap = self.gap(&nominal, &self.positions(|world| world.faults.extend(faults())));
+            gap = self.gap(on.clone(), |world| world.faults.extend(faults()));
             if (range.0..=range.1).contains(&gap.ratio) {
                 break;
             }

@@ -63,6 +63,10 @@ pub enum Kind {
     Tilt,
     /// The sampling instant jitters (s rms).
     Jitter,
+    /// The voltage is no straight line of the command (V at most off the line, or by what a kink turns it at the far end).
+    DriveBend,
+    /// The amplifier settles in two ways, most of it at once and the rest slowly (share of it that comes slowly).
+    DriveTail,
 }
 
 impl Kind {
@@ -100,6 +104,19 @@ impl Kind {
         Self::Jitter,
     ];
 
+    /// Kinds that are electronics which nobody measured: apart from the others, whose draws stay what they are.
+    pub const ELECTRONICS: [Self; 2] = [Self::DriveBend, Self::DriveTail];
+
+    /// Whether it acts on one axis by what another one does.
+    pub fn sees_other_axes(self) -> bool {
+        matches!(self, Self::Tilt)
+    }
+
+    /// Whether a kind stays what it is from one session to another, as physics does.
+    pub fn is_steady(self) -> bool {
+        Self::PHYSICS.contains(&self) || Self::ELECTRONICS.contains(&self)
+    }
+
     /// Name, for the key.
     pub fn name(self) -> &'static str {
         match self {
@@ -129,14 +146,16 @@ impl Kind {
             Self::SlewLimit => "slew-limit",
             Self::Tilt => "tilt",
             Self::Jitter => "jitter",
+            Self::DriveBend => "drive-bend",
+            Self::DriveTail => "drive-tail",
         }
     }
 
     /// Where it sits, in the contract's words.
     pub fn stage(self) -> &'static str {
         match self {
-            Self::DeadTime | Self::CoarseDrive => "drive",
-            Self::Brownout | Self::SupplySag | Self::DeadBand => "amplifier",
+            Self::DeadTime | Self::CoarseDrive | Self::DriveBend => "drive",
+            Self::Brownout | Self::SupplySag | Self::DeadBand | Self::DriveTail => "amplifier",
             Self::SelfHeating => "piezo",
             Self::Catching | Self::Brake | Self::FluidDrag | Self::EndStop => "mechanism",
             Self::Knocks | Self::Vibration | Self::Pump => "environment",
@@ -173,6 +192,8 @@ impl Kind {
             Self::SlewLimit => (5.0, 500.0),
             Self::Tilt => (1e-8, 3e-7),
             Self::Jitter => (1e-6, 3e-5),
+            Self::DriveBend => (0.1, 3.0),
+            Self::DriveTail => (1e-3, 3e-2),
         };
         (rng.random_range(low.ln()..high.ln())).exp()
     }

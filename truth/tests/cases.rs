@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 
 use truth::case::{Case, Draw, Sessions};
 use truth::effects::EFFECTS;
+use truth::faults::Kind;
 
 fn draw(only: &str, weights: [f64; 4]) -> Draw {
     let only = if only.is_empty() { Vec::new() } else { vec![only.to_string()] };
@@ -79,6 +80,27 @@ fn unknown_faults_are_of_many_kinds_and_visible() {
         kinds.insert(truth.note.split(',').next().unwrap().to_string());
     }
     assert!(kinds.len() >= 2, "{kinds:?}");
+}
+
+#[test]
+fn electronics_that_nobody_measured_show_in_the_monitor() {
+    for faults in [&[Kind::DriveBend], &[Kind::DriveTail]] {
+        let draw = Draw { faults, ..draw("", [0.0, 0.0, 0.0, 1.0]) };
+        let case = Case::draw_unjudged(11, 0, &draw);
+        let truth = &case.label.truth[0];
+        assert!(truth.note.starts_with(faults[0].name()), "{}", truth.note);
+        // The same session with nothing wrong.
+        let sound = Case::draw_unjudged(11, 0, &Draw { weights: [1.0, 0.0, 0.0, 0.0], ..draw });
+        let axis = truth.axes[0] - 1;
+        let most = case
+            .session
+            .iter()
+            .zip(&sound.session)
+            .filter_map(|(a, b)| Some((a.monitor_v[axis].as_ref()?, b.monitor_v[axis].as_ref()?)))
+            .flat_map(|(a, b)| a.iter().zip(b).map(|(a, b)| (a - b).abs()))
+            .fold(0.0, f32::max);
+        assert!(most > 0.02, "{}: {most} V", truth.note);
+    }
 }
 
 #[test]

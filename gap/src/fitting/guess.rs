@@ -53,6 +53,15 @@ pub struct Ranges {
 }
 
 impl Ranges {
+    /// Frequencies at which some axis may resonate, Hz, what they may be aliases of among them.
+    fn seen_hz(&self) -> Vec<f64> {
+        let mut seen: Vec<f64> = Vec::new();
+        for &hz in self.resonances_hz.iter().flatten() {
+            push_apart(&mut seen, hz);
+        }
+        seen
+    }
+
     /// Likeliest resonance of each axis, Hz; axes that share one give it once.
     fn peaks_hz(&self) -> Vec<f64> {
         let mut peaks: Vec<f64> = Vec::new();
@@ -213,10 +222,11 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             // A mass is where its resonance is: try resonances over the band and at the peak that was seen.
             let mut hz: Vec<f64> =
                 (0..12).map(|k| 150.0 * 2.0_f64.powf(0.45 * f64::from(k))).collect();
-            for peak in ranges.peaks_hz() {
+            hz.retain(|f| *f < 0.6 * ranges.rate_hz);
+            for peak in ranges.seen_hz() {
                 hz.extend([0.9, 0.95, 1.0, 1.05].map(|r| r * peak));
             }
-            for f in hz.into_iter().filter(|f| *f < 0.6 * ranges.rate_hz) {
+            for f in hz {
                 let omega = std::f64::consts::TAU * f;
                 let kg = ranges.stiffness_n_per_m / (omega * omega) - ranges.mass_kg;
                 if kg > 0.0 {
@@ -328,6 +338,14 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             for share in [0.1, 0.5, 2.0] {
                 let time_s = ("time_constant_s", share * ranges.session_s);
                 wanted.push(with(&[("growth", typical("growth")), time_s]));
+            }
+        }
+        "drive-bend" => {
+            for name in ["bow_v", "ess_v"] {
+                wanted.push(with(&[(name, typical(name))]));
+            }
+            for kink_v in [20.0, 40.0, 60.0, 80.0] {
+                wanted.push(with(&[("kink", typical("kink")), ("kink_v", kink_v)]));
             }
         }
         "piezo-gain" => {

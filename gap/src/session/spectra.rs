@@ -166,11 +166,11 @@ pub(crate) fn push_apart(known: &mut Vec<f64>, hz: f64) {
 }
 
 /// Frequency up to which what rings shows its alias, as a share of the loop's rate: a light mass on a stiff stack.
-const FASTEST_ALIAS: f64 = 0.6;
+const FASTEST_ALIAS: f64 = 0.9;
 
 /// Where each axis answers most beyond its model, likeliest first: the peak of the ratio of measured to simulated power, where the
 /// simulation moves by more than the noise, and the strongest line of what the model leaves, where it rings. A line may be the alias of a faster
-/// one, up to a little more than half the rate of the loop, `loop_hz`: that comes last.
+/// one, up to nearly the rate of the loop, `loop_hz`: that comes last.
 pub(crate) fn resonances(scene: &Scene, raw: &Stack, loop_hz: f64) -> Vec<Vec<f64>> {
     let axes = scene.position_noise.len();
     let mut answers: Vec<BTreeMap<i64, (f64, f64)>> = vec![BTreeMap::new(); axes];

@@ -106,15 +106,23 @@ pub fn drawn_in_a_further_form(seed: u64, index: u64, of: &str, among: &[&str]) 
 
 /// The same with a fault that is physics of a healthy rig; the note of the case begins with the fault's name.
 pub fn drawn_physics(seed: u64, index: u64, fault: &str) -> Diagnosis {
-    let draw = Draw {
-        other_rigs: true,
-        weights: [0.0, 0.0, 0.0, 1.0],
-        faults: &Kind::PHYSICS,
-        ..Draw::default()
-    };
-    let drawn = Case::draw(seed, index, &draw).label.truth.swap_remove(0).note;
-    assert!(drawn.starts_with(fault), "seed {seed}, case {index} is {drawn}: choose a new one");
-    diagnosed_case((seed, index), &draw, &["unknown"], &[])
+    diagnosed(drawn_fault((seed, index), &Kind::PHYSICS, fault), &["unknown"], &[])
+}
+
+/// The same with electronics that nobody measured, on a rig whose amplifiers have no monitors: those would tell at once.
+pub fn drawn_electronics(seed: u64, index: u64, fault: &str, exclude: &[&str]) -> Diagnosis {
+    let mut case = drawn_fault((seed, index), &Kind::ELECTRONICS, fault);
+    case.drop_monitor();
+    let exclude: Vec<String> = exclude.iter().map(|name| (*name).to_string()).collect();
+    diagnosed(case, &["unknown"], &exclude)
+}
+
+fn drawn_fault(case: (u64, u64), faults: &'static [Kind], fault: &str) -> Case {
+    let draw = Draw { other_rigs: true, weights: [0.0, 0.0, 0.0, 1.0], faults, ..Draw::default() };
+    let drawn = Case::draw_unjudged(case.0, case.1, &draw);
+    let note = &drawn.label.truth[0].note;
+    assert!(note.starts_with(fault), "{case:?} is {note}: choose a new one");
+    drawn
 }
 
 /// The same with this effect taken out of the catalogue.
@@ -134,9 +142,12 @@ fn diagnosed_case(
     of: &[&str],
     exclude: &[String],
 ) -> Diagnosis {
-    let mut case = Case::draw(seed, index, draw);
+    diagnosed(Case::draw_unjudged(seed, index, draw), of, exclude)
+}
+
+fn diagnosed(mut case: Case, of: &[&str], exclude: &[String]) -> Diagnosis {
     let truth: Vec<&str> = case.label.truth.iter().map(|t| t.effect.as_str()).collect();
-    assert_eq!(truth, of, "seed {seed}, case {index} is another one now: choose a new one");
+    assert_eq!(truth, of, "{} is another one now: choose a new one", case.label.id);
     case.label.id = "case".into();
     let folder = tempfile::tempdir().expect("folder");
     case.write(folder.path()).expect("written");

@@ -283,6 +283,7 @@ catalogue! {
     sensor_offset,
 }
 
+mod drive_bend;
 mod floor_hum;
 mod gauge_high_pass;
 mod gauge_play;
@@ -296,6 +297,7 @@ static STRANGERS: &[&dyn Effect] = &[
     &gauge_warming::EFFECT,
     &gauge_play::EFFECT,
     &gauge_high_pass::EFFECT,
+    &drive_bend::EFFECT,
 ];
 
 /// Effects outside the catalogue. Rig files take them.

@@ -50,8 +50,7 @@ impl Fault {
         };
         let on = rng.random_bool(0.5);
         let phase = rng.random_range(0.0..TAU);
-        let is_physics = Kind::PHYSICS.contains(&kind);
-        let constant = if is_physics { physics::drawn(kind, rng.random()) } else { 0.0 };
+        let constant = if kind.is_steady() { physics::drawn(kind, rng.random()) } else { 0.0 };
         Self {
             axis,
             kind,

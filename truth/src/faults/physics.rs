@@ -1,4 +1,6 @@
-//! Physics of a healthy rig that no catalogue has: drag, stops, supplies, heat, conditioners.
+//! Physics of a healthy rig that no catalogue has: drag, stops, supplies, heat, conditioners, converters and output stages.
+
+use std::f64::consts::{PI, TAU};
 
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -15,9 +17,13 @@ const SAG_AT_A: f64 = 0.1;
 const SLEW_M_PER_S: f64 = 0.1;
 /// Displacement at which a tilt is given (m).
 const TILT_AT_M: f64 = 1e-5;
+/// Voltage over which a drive bends (V).
+const BENT_OVER_V: f64 = 100.0;
+/// Ways in which it does: see [`bent`].
+const BENDS: f64 = 3.0;
 
-/// What a kind has beside its size, from a share of 0 to 1: critical speed (m/s) of a brake, place (m) of a stop, time constant (s) of the
-/// others.
+/// What a kind has beside its size, from a share of 0 to 1: critical speed (m/s) of a brake, place (m) of a stop, way in which a drive bends,
+/// time constant (s) of the others.
 pub(super) fn drawn(kind: Kind, share: f64) -> f64 {
     let between = |low: f64, high: f64| low * (high / low).powf(share);
     match kind {
@@ -25,6 +31,8 @@ pub(super) fn drawn(kind: Kind, share: f64) -> f64 {
         Kind::EndStop => between(4e-6, 8e-6),
         Kind::SupplySag => between(5e-3, 0.1),
         Kind::SelfHeating => between(4.0, 60.0),
+        Kind::DriveBend => BENDS * share,
+        Kind::DriveTail => between(5e-3, 2.0),
         _ => between(0.5, 30.0),
     }
 }
@@ -97,7 +105,30 @@ impl Fault {
                 }
                 self.value
             }
+            Kind::DriveBend => bent(asked, self.size, self.constant),
+            Kind::DriveTail => {
+                let relax = -(-self.elapsed_s(time) / self.constant).exp_m1();
+                self.value += (asked - self.value) * relax;
+                asked + self.size * (self.value - asked)
+            }
             _ => asked,
         }
     }
+}
+
+/// A voltage (V) off its line by up to `size` (V): the whole part of `way` tells how, what is behind its point where.
+fn bent(asked: f64, size: f64, way: f64) -> f64 {
+    let u = asked / BENT_OVER_V;
+    let place = way.fract();
+    let off = match way as u32 {
+        0 => (PI * u).sin() * (1.0 + (place - 0.5) * u),
+        1 => (TAU * u * (0.7 + 0.6 * place)).sin(),
+        _ => {
+            // Half a hyperbola: an output stage that takes over from another one.
+            let (corner, width) = (0.2 + 0.6 * place, 0.005);
+            let beyond = u - corner;
+            0.5 * (beyond + beyond.hypot(width)) / (1.0 - corner)
+        }
+    };
+    asked + size * off
 }
