@@ -28,7 +28,6 @@ fn a_stack_of_another_polarisation_has_another_gain() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_current_limit_with_a_knee_is_a_current_limit() {
     // No monitor was recorded; a limit with a corner leaves a lag, or a loss that goes with the current.
     for case in [17, 20] {
@@ -59,7 +58,6 @@ fn creep_that_bends_with_the_logarithm_of_time_is_no_relaxation() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_gauge_that_drifts_to_and_fro_drifts() {
     // It comes and goes once in the session's 150 s.
     let diagnosis = drawn(15151, 53, &["sensor-drift"]);
@@ -94,7 +92,6 @@ fn a_gauge_that_wanders_without_a_period_drifts() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn the_supply_of_a_railway_hums() {
     let diagnosis = drawn_in_a_further_form(3301, 32, "sensor-hum", &FURTHER);
     assert_explained(&diagnosis, &[("sensor-hum", &[1][..])]);
@@ -107,7 +104,6 @@ fn the_supply_of_a_railway_hums() {
 const HUMS: [&str; 2] = ["amplifier-hum", "sensor-hum"];
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_grid_whose_frequency_sways_hums() {
     // A plain hum accounts for half of it in one session and for less in the other, whose pauses of ten seconds are turns of the phase.
     let diagnosis = drawn_in_a_further_form(3501, 10, "sensor-hum", &HUMS);
@@ -130,7 +126,6 @@ fn a_drift_without_a_period_is_checked_between_what_is_fitted() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_gauge_that_warms_up_is_no_wrong_gain() {
     let diagnosis = drawn_of_the_paper(2020, 67, &["unknown"]);
     assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Unexplained, vec![]));
@@ -144,7 +139,6 @@ fn a_loop_of_another_law_is_no_friction() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_loop_of_another_law_is_seen_beside_what_is_as_loud() {
     let diagnosis = drawn(2222, 34, &["hysteresis-shape", "amplifier-clipping"]);
     // 188 and 195 nm: which one comes first is no matter.
@@ -155,14 +149,12 @@ fn a_loop_of_another_law_is_seen_beside_what_is_as_loud() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_loop_on_one_axis_does_not_take_in_a_gain_on_all() {
     let diagnosis = drawn(2222, 96, &["hysteresis-shape", "piezo-gain"]);
     assert_explained(&diagnosis, &[("piezo-gain", &[1, 2, 3][..]), ("hysteresis-shape", &[3][..])]);
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_pump_is_not_the_hum_of_a_gauge_and_of_an_amplifier() {
     let diagnosis = drawn(2222, 15, &["unknown"]);
     assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Unexplained, vec![]));
@@ -178,7 +170,6 @@ fn friction_that_falls_at_creeping_speeds_is_friction() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn relaxation_in_every_decade_is_viscoelasticity() {
     let diagnosis = drawn_in_a_further_form(3201, 4, "viscoelasticity", &LOSSES);
     assert_explained(&diagnosis, &[("viscoelasticity", &[2][..])]);
@@ -191,7 +182,6 @@ fn a_loss_that_goes_with_the_rate_in_another_way_is_found() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_preload_lost_near_rest_cannot_be_told_from_a_shifted_gauge() {
     // The contact opens 0.2 um from rest, where the session hardly is: what is left is a shift.
     let diagnosis = drawn(19191, 20, &["preload-loss"]);
@@ -208,7 +198,6 @@ fn a_contact_that_opens_where_the_stage_hardly_is_is_found() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn what_noise_alone_ranks_is_ranked_by_what_the_cause_is_confused_with() {
     // Four causes shift the gauge of axis 1 alike; one of the three that are named is the rig's.
     let diagnosis = drawn(20202, 95, &["preload-loss", "hysteresis-shape"]);
@@ -218,7 +207,6 @@ fn what_noise_alone_ranks_is_ranked_by_what_the_cause_is_confused_with() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn what_integrators_differ_by_does_not_tell_a_stiffness_from_what_relaxes() {
     // A branch that relaxes in a thousand seconds is a stiffness; the damper in it takes up what integrators differ by.
     let diagnosis = drawn(27272, 70, &["stiffness"]);

@@ -13,7 +13,6 @@ fn a_loop_of_bouc_and_wens_is_a_loop() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_loop_of_one_sided_plays_is_a_loop() {
     let diagnosis = drawn(1010, 101, &["hysteresis-shape"]);
     assert_eq!(causes(&diagnosis), [("hysteresis-shape", &[1][..])]);
@@ -21,7 +20,6 @@ fn a_loop_of_one_sided_plays_is_a_loop() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn half_a_per_cent_of_gain_is_no_loop() {
     let diagnosis = drawn(1414, 13, &["piezo-gain"]);
     let causes = causes(&diagnosis);
@@ -37,7 +35,6 @@ fn a_loop_is_one_beside_what_other_axes_have() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_loop_of_another_law_is_one_beside_a_slow_gauge() {
     // Two effects with a plain loop leave what a third one would make up for, and friction does about as well as the gauge.
     let diagnosis = drawn(18181, 1, &["sensor-bandwidth", "hysteresis-shape"]);
@@ -54,7 +51,6 @@ fn a_memory_that_small_cycles_wear_off_is_a_loop() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_law_that_no_plain_loop_is_like_is_one_beside_a_drift() {
     // Bouc and Wen's with a beta of 0.65: Dahl's, beside hardening that takes up what it is off by, left a fiftieth.
     let diagnosis = drawn(31313, 87, &["sensor-drift", "hysteresis-shape"]);
@@ -62,7 +58,6 @@ fn a_law_that_no_plain_loop_is_like_is_one_beside_a_drift() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn an_axis_of_another_law_is_told_where_gains_account_for_the_others() {
     // With a beta of 0.51 the plain loop does an eighth of axis 2, where friction and it would fight, and gains nearly all of the others.
     let diagnosis = drawn(31313, 16, &["hysteresis-shape", "sensor-gain"]);
@@ -82,7 +77,6 @@ fn a_loop_and_friction_that_fight_are_a_loop_of_another_law() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_stiffness_beside_a_large_loop_is_no_loop_on_the_other_axes() {
     // Nine numbers do on axes 1 and 2 what a stiffness does to a thirtieth of what either leaves.
     let diagnosis = drawn(32323, 8, &["stiffness", "hysteresis-shape"]);

@@ -20,7 +20,6 @@ fn a_clip_near_the_end_of_the_range_is_found_beside_a_delay() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn two_right_effects_are_preferred_to_three() {
     // Stacks of another gain with other loops, and crosstalk, do as well.
     let diagnosis = drawn(2626, 38, &["sensor-gain", "sensor-crosstalk"]);
@@ -31,7 +30,6 @@ fn two_right_effects_are_preferred_to_three() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn one_cause_on_all_axes_is_preferred_to_another_on_one_of_them() {
     // A stiffness does as well as a stack of another gain on the axis that is clipped.
     let diagnosis = drawn(14141, 116, &["piezo-gain", "amplifier-clipping"]);
@@ -56,7 +54,6 @@ fn axes_have_causes_of_their_own() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_loop_of_another_law_needs_no_friction() {
     let diagnosis = drawn(2828, 77, &["hysteresis-shape"]);
     assert_explained(&diagnosis, &[("hysteresis-shape", &[2][..])]);
@@ -70,7 +67,6 @@ fn a_slow_gauge_is_found_beside_a_slow_amplifier() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn two_plain_effects_are_preferred_to_two_that_bend() {
     // Loops of another width and a stiffness do nearly as well, and each of these does better alone than either of the right ones.
     let diagnosis = drawn(4040, 34, &["sensor-offset", "piezo-gain"]);
@@ -78,7 +74,6 @@ fn two_plain_effects_are_preferred_to_two_that_bend() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_loop_of_another_law_beside_a_hum_is_no_bent_gauge() {
     let diagnosis = drawn(4040, 68, &["sensor-hum", "hysteresis-shape"]);
     let mut named = causes(&diagnosis);
@@ -88,7 +83,6 @@ fn a_loop_of_another_law_beside_a_hum_is_no_bent_gauge() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn what_the_form_of_a_delay_leaves_is_no_gain() {
     // 1.3 nm of noise 4 nm beside a delay of 172 nm on axis 1: a gain of 0.4 % there takes an eighth of it.
     let diagnosis = drawn(17171, 109, &["drive-delay", "drive-gain"]);
@@ -96,7 +90,6 @@ fn what_the_form_of_a_delay_leaves_is_no_gain() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn effects_are_swapped_about_the_plainest_pair() {
     // Loops of another width with a bent gauge leave least after two effects and a stiffness with shifted gauges is the plainest; what
     // the rig has was only tried in the place of one of the first pair.
@@ -114,7 +107,6 @@ fn springs_and_crosstalk_are_fitted_between_every_pair_of_axes() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_limit_that_only_steps_reach_is_found_beside_a_gain() {
     // What was held out hardly reaches it, and its form does a little harm there.
     let diagnosis = drawn(20202, 110, &["amplifier-current-limit", "sensor-gain"]);
@@ -128,7 +120,6 @@ fn a_limit_that_only_steps_reach_is_found_beside_a_gain() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn an_axis_has_a_cause_of_its_own_where_that_takes_fewer_numbers() {
     // A stiffness that grows has four numbers, and the third axis, of another gain, makes use of one of them.
     let diagnosis = drawn(21212, 15, &["stiffness-hardening", "sensor-gain"]);

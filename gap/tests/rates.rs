@@ -22,7 +22,6 @@ fn a_loss_that_goes_with_a_root_of_the_current_is_found_on_every_axis() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_loss_that_goes_with_a_root_of_the_current_is_found_from_afar() {
     // A loss of strain leaves a quarter of this gap, relaxation with friction a hundredth.
     let diagnosis = drawn(14141, 85, &["hysteresis-rate"]);

@@ -62,14 +62,12 @@ fn a_heavy_part_that_swings_is_no_mass_that_sits_fast() {
 
 /// A sweep ends where the axis rings, and nothing else of the session goes there.
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_mass_is_found_at_the_end_of_a_sweep() {
     let diagnosis = common::drawn(1818, 44, &["inertia"]);
     assert_eq!(common::causes(&diagnosis), [("inertia", &[3][..])]);
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn two_parts_that_swing_are_found_on_every_axis() {
     // 0.24 kg at 607 Hz, a quarter of that at 1700 Hz; without the second one no axis but the loudest comes out.
     let diagnosis = common::drawn(16161, 102, &["second-mass"]);
@@ -80,7 +78,6 @@ fn two_parts_that_swing_are_found_on_every_axis() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn an_axis_that_rings_at_the_end_of_one_sweep_alone_is_checked_there() {
     // Two thirds of that sweep, by time, show nothing of it.
     let diagnosis = common::drawn(16161, 98, &["inertia"]);
@@ -96,7 +93,6 @@ fn a_mass_that_rings_beyond_half_the_sample_rate_is_found_by_its_alias() {
 }
 
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_part_that_swings_is_found_on_an_axis_that_hardly_shows_it() {
     // A fortieth of the other axis, and most of what a gain leaves on its own.
     let diagnosis = common::drawn(20202, 107, &["second-mass", "sensor-gain"]);

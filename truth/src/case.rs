@@ -1,6 +1,5 @@
 //! Draws cases: a rig, a session, what is wrong, and recordings to judge by.
 
-use std::cell::RefCell;
 use std::fs;
 use std::io;
 use std::ops::Range;
@@ -165,7 +164,7 @@ impl Case {
             .collect();
         let mut truth = Vec::new();
         let mut world = World::nominal(&rig);
-        let trial = Trial::new(&rig, &experiments);
+        let trial = Trial { rig: &rig, experiments: &experiments };
         match kind {
             1 | 2 => {
                 for _ in 0..kind {
@@ -300,55 +299,31 @@ fn simulate_all<'a>(
 struct Trial<'a> {
     rig: &'a Rig,
     experiments: &'a [Experiment],
-    /// Axes that were followed, and the recordings with nothing wrong.
-    nominal: RefCell<Vec<(u32, Vec<Recording>)>>,
 }
 
-/// Rate from which all axes are followed in the same steps, whatever swings on one of them.
-const SAME_STEPS_HZ: f64 = 2500.0;
-
-impl<'a> Trial<'a> {
-    fn new(rig: &'a Rig, experiments: &'a [Experiment]) -> Self {
-        Self { rig, experiments, nominal: RefCell::default() }
-    }
-
-    /// Gap over all axes and scored samples of recordings that settle first, of a change that acts on `on` alone unless it couples axes.
-    fn gap(&self, on: impl IntoIterator<Item = usize>, change: impl Fn(&mut World)) -> Gap {
+impl Trial<'_> {
+    fn positions(&self, change: impl Fn(&mut World)) -> Vec<Recording> {
         let mut world = World::nominal(self.rig);
         change(&mut world);
-        // Axes that nothing couples are what they were where nothing acts on them: they need not be followed.
-        let is_slow = self.experiments.iter().any(|e| e.sample_rate_hz < SAME_STEPS_HZ);
-        let axes = if is_slow || world.is_coupled() {
-            u32::MAX
-        } else {
-            on.into_iter().fold(0, |mask, axis| mask | 1 << axis)
-        };
-        let options = Options { axes, ..Options::ROUGH };
-        let follow = |world: &mut World| simulate_all(world, self.experiments.iter(), options);
-        let changed = follow(&mut world);
-        let mut known = self.nominal.borrow_mut();
-        if !known.iter().any(|(followed, _)| followed & axes == axes) {
-            known.push((axes, follow(&mut World::nominal(self.rig))));
-        }
-        let nominal = known.iter().find(|(followed, _)| followed & axes == axes);
-        let nominal = nominal.map_or(&[][..], |(_, recordings)| recordings);
+        simulate_all(&mut world, self.experiments.iter(), Options::ROUGH)
+    }
+
+    /// Gap over all axes and scored samples of recordings that settle first.
+    fn gap(&self, nominal: &[Recording], changed: &[Recording]) -> Gap {
         let (mut sum, mut sum_um2, mut count) = (0.0, 0.0, 0usize);
-        for (nominal, changed) in nominal.iter().zip(&changed) {
+        for (nominal, changed) in nominal.iter().zip(changed) {
             if nominal.meta.settle_s == 0.0 {
                 continue;
             }
             let from = nominal.settle_rows();
             for (axis, (a, b)) in nominal.position_um.iter().zip(&changed.position_um).enumerate() {
                 let (Some(a), Some(b)) = (a, b) else { continue };
-                count += a.len() - from;
-                if axes >> axis & 1 == 0 {
-                    continue;
-                }
                 let noise_um = self.rig.axes[axis].noise_m * 1e6;
                 for (a, b) in a[from..].iter().zip(&b[from..]) {
                     sum += (f64::from(a - b) / noise_um).powi(2);
                     sum_um2 += f64::from(a - b).powi(2);
                 }
+                count += a.len() - from;
             }
         }
         let rms = |sum: f64| (sum / count.max(1) as f64).sqrt();
@@ -359,13 +334,14 @@ impl<'a> Trial<'a> {
     /// log-uniformly inside the range if it fell outside.
     fn sized(&self, effect: &'static Effect, draw: &Draw, rng: &mut impl Rng) -> (Drawn, Gap) {
         let range = draw.ratio;
+        let nominal = self.positions(|_| {});
         let mut best: Option<(Drawn, Gap)> = None;
         for _ in 0..4 {
             let mut drawn = Drawn::new(effect, self.rig.axes.len(), rng);
             drawn.is_further = draw.further_forms;
             let wanted = rng.random_range(range.0.ln()..range.1.ln()).exp();
             for _ in 0..4 {
-                let gap = self.gap(drawn.axes.iter().copied(), |world| drawn.apply(world));
+                let gap = self.gap(&nominal, &self.positions(|world| drawn.apply(world)));
                 let ratio = gap.ratio;
                 if (range.0..=range.1).contains(&ratio) {
                     return (drawn, gap);
@@ -390,13 +366,14 @@ impl<'a> Trial<'a> {
         range: (f64, f64),
         rng: &mut impl Rng,
     ) -> (f64, Gap, u64) {
+        let nominal = self.positions(|_| {});
         let seed = rng.random();
         let mut size = kind.draw(rng);
         let wanted = rng.random_range(range.0.ln()..range.1.ln()).exp();
         let mut gap = Gap::default();
         for _ in 0..4 {
             let faults = || on.clone().map(|axis| Fault::new(axis, kind, size, seed));
-            gap = self.gap(on.clone(), |world| world.faults.extend(faults()));
+            gap = self.gap(&nominal, &self.positions(|world| world.faults.extend(faults())));
             if (range.0..=range.1).contains(&gap.ratio) {
                 break;
             }

@@ -107,11 +107,6 @@ impl Kind {
     /// Kinds that are electronics which nobody measured: apart from the others, whose draws stay what they are.
     pub const ELECTRONICS: [Self; 2] = [Self::DriveBend, Self::DriveTail];
 
-    /// Whether it acts on one axis by what another one does.
-    pub fn sees_other_axes(self) -> bool {
-        matches!(self, Self::Tilt)
-    }
-
     /// Whether a kind stays what it is from one session to another, as physics does.
     pub fn is_steady(self) -> bool {
         Self::PHYSICS.contains(&self) || Self::ELECTRONICS.contains(&self)

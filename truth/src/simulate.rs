@@ -24,19 +24,13 @@ pub struct Options {
     pub step_s: f64,
     /// Whether gauge and monitor have noise and steps.
     pub noise: bool,
-    /// Axes to follow, as a mask; the others stand still. Only for axes that nothing couples.
-    pub axes: u32,
 }
 
 impl Options {
     /// For recordings.
-    pub const FINE: Self = Self { step_s: 6.25e-6, noise: true, axes: u32::MAX };
+    pub const FINE: Self = Self { step_s: 6.25e-6, noise: true };
     /// For finding out how large an effect is.
-    pub const ROUGH: Self = Self { step_s: 20e-6, noise: false, axes: u32::MAX };
-
-    fn follows(self, axis: usize) -> bool {
-        self.axes >> axis & 1 == 1
-    }
+    pub const ROUGH: Self = Self { step_s: 20e-6, noise: false };
 }
 
 /// What moves fast, per axis; starts anew with each file.
@@ -131,7 +125,7 @@ pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Opt
         });
     }
 
-    come_to_rest(world, &mut moving, dt, options);
+    come_to_rest(world, &mut moving, dt);
 
     let meta = Meta {
         experiment: experiment.name.clone(),
@@ -223,7 +217,7 @@ pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Opt
                 *command = f64::from(state.command[then]);
                 *displacement = state.position_m + ahead * state.speed;
             }
-            for index in (0..axes).filter(|&index| options.follows(index)) {
+            for index in 0..axes {
                 let axis = &mut world.axes[index];
                 let mut asked = axis.drive.0 * commands[index] + axis.drive.1;
                 for (share, command) in world.drive_cross[index].iter().zip(&commands) {
@@ -249,7 +243,7 @@ pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Opt
                 amplifier(axis, &mut moving[index], asked, time, dt);
                 mechanics(axis, &mut moving[index], &outside, dt);
             }
-            for index in (0..axes).filter(|&index| options.follows(index)) {
+            for index in 0..axes {
                 let seen = seen_m(world, &moving, index);
                 conditioner(&world.axes[index], &mut moving[index], seen, dt);
             }
@@ -271,11 +265,10 @@ const REST_S: f64 = 0.02;
 
 /// Lets the stages come to rest under what their stacks remember, damped as much as they can be without creeping: a recording that began with
 /// a jump would ring for seconds where nothing was driven.
-fn come_to_rest(world: &mut World, moving: &mut [Moving], dt: f64, options: Options) {
+fn come_to_rest(world: &mut World, moving: &mut [Moving], dt: f64) {
     for _ in 0..(REST_S / dt) as usize {
         let displacements: Vec<f64> = moving.iter().map(|state| state.position_m).collect();
-        let all = world.axes.iter_mut().zip(moving.iter_mut()).enumerate();
-        for (index, (axis, state)) in all.filter(|&(index, _)| options.follows(index)) {
+        for (index, (axis, state)) in world.axes.iter_mut().zip(moving.iter_mut()).enumerate() {
             let constants = &axis.constants;
             let stiffness = constants.stiffness_n_per_m + constants.mechanism_n_per_m;
             let neighbours = world.stiffness_cross[index].iter().zip(&displacements);

@@ -292,13 +292,6 @@ impl World {
             faults: Vec::new(),
         }
     }
-
-    /// Whether what happens on one axis may show on another.
-    pub fn is_coupled(&self) -> bool {
-        let crosses = [&self.drive_cross, &self.stiffness_cross, &self.sensor_cross];
-        crosses.into_iter().flatten().flatten().any(|&share| share != 0.0)
-            || self.faults.iter().any(|fault| fault.kind.sees_other_axes())
-    }
 }
 
 impl AxisWorld {

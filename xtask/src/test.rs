@@ -17,9 +17,6 @@ pub struct Args {
     /// Only the steps whose name contains this.
     #[arg(long)]
     only: Option<String>,
-    /// The long tests as well: drawn sessions that each pin one rule of a diagnosis. For changes to `gap/` or `truth/`, an hour more.
-    #[arg(long)]
-    long: bool,
 }
 
 /// How a step ended, other than with an error.
@@ -30,7 +27,7 @@ enum Outcome {
 
 struct Step {
     name: &'static str,
-    run: fn(&Shell, &Args) -> Result<Outcome>,
+    run: fn(&Shell) -> Result<Outcome>,
 }
 
 const STEPS: &[Step] = &[
@@ -58,7 +55,7 @@ pub fn run(args: &Args) -> Result<()> {
     for step in STEPS.iter().filter(wanted) {
         println!("== {} ==", step.name);
         let start = Instant::now();
-        let outcome = (step.run)(&shell, args);
+        let outcome = (step.run)(&shell);
         let how = match outcome {
             Ok(Outcome::Passed) => {
                 passed += 1;
@@ -90,12 +87,12 @@ fn clock(time: Duration) -> String {
     format!("{}:{:02}", time.as_secs() / 60, time.as_secs() % 60)
 }
 
-fn format(shell: &Shell, _args: &Args) -> Result<Outcome> {
+fn format(shell: &Shell) -> Result<Outcome> {
     cmd!(shell, "cargo fmt --all --check").run()?;
     Ok(Outcome::Passed)
 }
 
-fn lints(shell: &Shell, _args: &Args) -> Result<Outcome> {
+fn lints(shell: &Shell) -> Result<Outcome> {
     cmd!(
         shell,
         "cargo clippy --release --workspace --exclude emulator --all-targets -- -D warnings"
@@ -105,39 +102,38 @@ fn lints(shell: &Shell, _args: &Args) -> Result<Outcome> {
 }
 
 /// All crates that need neither an Arm target nor unicorn, with the browser that looks at the reports.
-fn host_tests(shell: &Shell, args: &Args) -> Result<Outcome> {
+fn host_tests(shell: &Shell) -> Result<Outcome> {
     if let Err(error) =
         debian::ensure(shell, &[Need { program: "chromium", packages: &["chromium"] }])
     {
         println!("{error:#}; tests that render a report say that they skip");
     }
-    let long: &[&str] = if args.long { &["--", "--include-ignored"] } else { &[] };
-    cmd!(shell, "cargo test --release --workspace --exclude emulator {long...}").run()?;
+    cmd!(shell, "cargo test --release --workspace --exclude emulator").run()?;
     Ok(Outcome::Passed)
 }
 
 /// The core's tests once more, in a build that panics where an integer operation wraps unless it says that it may.
-fn overflow_checks(shell: &Shell, _args: &Args) -> Result<Outcome> {
+fn overflow_checks(shell: &Shell) -> Result<Outcome> {
     let checks = "profile.release.package.flexstage.overflow-checks=true";
     cmd!(shell, "cargo test --release --package flexstage --config {checks}").run()?;
     Ok(Outcome::Passed)
 }
 
 /// Builds the board's image and checks it. A machine that cannot build for the board skips this.
-fn firmware(_shell: &Shell, _args: &Args) -> Result<Outcome> {
+fn firmware(_shell: &Shell) -> Result<Outcome> {
     match firmware::toolchain() {
         Ok(()) => firmware::run(&firmware::Args::default()).map(|()| Outcome::Passed),
         Err(error) => Ok(Outcome::Skipped(format!("{error:#}"))),
     }
 }
 
-fn documentation(shell: &Shell, _args: &Args) -> Result<Outcome> {
+fn documentation(shell: &Shell) -> Result<Outcome> {
     cmd!(shell, "cargo doc --release --workspace --exclude emulator --no-deps").run()?;
     Ok(Outcome::Passed)
 }
 
 /// The image in the emulator: everything that would be tried on the board.
-fn emulation(shell: &Shell, _args: &Args) -> Result<Outcome> {
+fn emulation(shell: &Shell) -> Result<Outcome> {
     if let Err(why) = firmware::toolchain() {
         return Ok(Outcome::Skipped(format!("{why:#}")));
     }

@@ -53,19 +53,10 @@ pub struct Ranges {
 }
 
 impl Ranges {
-    /// Frequencies at which some axis may resonate, Hz, what they may be aliases of among them.
-    fn seen_hz(&self) -> Vec<f64> {
-        let mut seen: Vec<f64> = Vec::new();
-        for &hz in self.resonances_hz.iter().flatten() {
-            push_apart(&mut seen, hz);
-        }
-        seen
-    }
-
-    /// Likeliest resonance of each axis, Hz; axes that share one give it once.
-    fn peaks_hz(&self) -> Vec<f64> {
+    /// The `most` likeliest resonances of each axis, Hz; axes that share one give it once.
+    fn peaks_hz(&self, most: usize) -> Vec<f64> {
         let mut peaks: Vec<f64> = Vec::new();
-        for &hz in self.resonances_hz.iter().filter_map(|axis| axis.first()) {
+        for &hz in self.resonances_hz.iter().flat_map(|axis| axis.iter().take(most)) {
             push_apart(&mut peaks, hz);
         }
         peaks
@@ -219,11 +210,10 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             }
         }
         "inertia" => {
-            // A mass is where its resonance is: try resonances over the band and at the peak that was seen.
-            let mut hz: Vec<f64> =
-                (0..12).map(|k| 150.0 * 2.0_f64.powf(0.45 * f64::from(k))).collect();
-            hz.retain(|f| *f < 0.6 * ranges.rate_hz);
-            for peak in ranges.seen_hz() {
+            // A mass is where its resonance is: try resonances over the band, at what was seen, and at what that may be the alias of.
+            let band = (0..12).map(|k| 150.0 * 2.0_f64.powf(0.45 * f64::from(k)));
+            let mut hz: Vec<f64> = band.filter(|f| *f < 0.6 * ranges.rate_hz).collect();
+            for peak in ranges.peaks_hz(usize::MAX) {
                 hz.extend([0.9, 0.95, 1.0, 1.05].map(|r| r * peak));
             }
             for f in hz {
@@ -239,7 +229,7 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
         "second-mass" => {
             let mass = typical("mass_kg");
             let mut hz = vec![80.0, 250.0, 600.0, 1200.0, 2400.0];
-            for peak in ranges.peaks_hz() {
+            for peak in ranges.peaks_hz(1) {
                 hz.extend([0.93 * peak, peak, 1.08 * peak]);
             }
             for f in hz.into_iter().filter(|f| *f < 0.5 * ranges.rate_hz) {

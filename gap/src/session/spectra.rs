@@ -165,7 +165,8 @@ pub(crate) fn push_apart(known: &mut Vec<f64>, hz: f64) {
     }
 }
 
-/// Frequency up to which what rings shows its alias, as a share of the loop's rate: a light mass on a stiff stack.
+/// Frequency up to which what rings is looked for by its alias, as a share of the loop's rate: a light mass on a stiff stack. Beyond it the alias
+/// lies where the stage is driven.
 const FASTEST_ALIAS: f64 = 0.9;
 
 /// Where each axis answers most beyond its model, likeliest first: the peak of the ratio of measured to simulated power, where the

@@ -48,7 +48,7 @@ static INFO: Info = Info {
         Parameter::shape("kink_v", "V", (-10.0, 150.0), 50.0, "where the gain changes"),
     ],
     threshold: false,
-    physics: "V = U + bow 4 u (1 - u) + ess 20.8 u (u - 1/2) (u - 1) + kink max(0, U - kink_v), u = U/100 V: integral error of the converter, \
+    physics: "V = U + bow 4 u (1 - u) + ess 20.8 u (u - 1/2) (u - 1) + kink max(0, U - kink_v), u = U/100 V, the kink rounded over 1 V: integral error of the converter, \
               an output stage whose gain changes. It is in front of the loops, and the monitor shows it.",
     source: "integral errors of converters, crossover and loading of output stages",
     revealed_by: "a slow triangle over all of the range; with the monitor, at once",
