@@ -218,6 +218,12 @@ fn sensor_effects_act_on_the_reading() {
     let bowed: Vec<f64> =
         x.iter().map(|x| x + x * (x - 9e-6) * 1e3 - 2e8 * x * (x - 4.5e-6) * (x - 9e-6)).collect();
     assert!(worst(&read("sensor-nonlinearity", &values), &bowed) < 1e-18);
+    // An error that repeats, and is none at zero.
+    let values = [("ripple_sine_m", 2e-8), ("ripple_cosine_m", -1e-8), ("ripple_period_m", 3e-6)];
+    let phase = |x: f64| std::f64::consts::TAU * x / 3e-6;
+    let rippled: Vec<f64> =
+        x.iter().map(|&x| x + 2e-8 * phase(x).sin() - 1e-8 * (1.0 - phase(x).cos())).collect();
+    assert!(worst(&read("sensor-nonlinearity", &values), &rippled) < 1e-18);
     // On a ramp a low-pass lags by its time constant.
     let slow = read("sensor-bandwidth", &[("time_constant_s", 3e-4)]);
     let lag = (x[1000] - slow[1000]) / (x[1001] - x[1000]) * 1e-4;

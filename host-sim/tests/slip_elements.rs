@@ -1,7 +1,7 @@
 //! The quick forms of the slip elements against a slow one that looks at every element and halves its way to
 //! the charge: any stack, any path, any memory.
 
-use host_sim::stages::hysteresis::{Branch, Elements, SlipElements};
+use host_sim::stages::hysteresis::{Branch, Elements, SlipElements, WenLoop};
 use proptest::prelude::*;
 
 /// Every element looked at, and the charge found by halving: slow, and like none of them.
@@ -80,7 +80,7 @@ fn compare(
 ) -> Result<(), TestCaseError> {
     let (slopes, limits): (Vec<f64>, Vec<f64>) =
         parameters.iter().map(|(slope, slip)| (*slope, slope * slip)).unzip();
-    let mut fast = Elements::new(&slopes, &limits, scaled, give);
+    let mut fast = Elements::new(&slopes, &limits, scaled, give, None);
     let volts: Vec<f64> = (0..slopes.len())
         .map(|i| start(slopes[i], limits[i], i).clamp(-limits[i], limits[i]))
         .collect();
@@ -147,4 +147,55 @@ proptest! {
         })?;
         compare(stack, true, give, |_, limit, i| limit * shares[i], |tick, branch| branch.limit_scale = scales[tick])?;
     }
+}
+
+/// The loop beside the elements against its differential equation in a thousand steps a tick: `dz = dq (1 - b |z|^n)`.
+#[test]
+fn a_loop_of_bouc_and_wen_beside_the_elements_follows_its_equation() {
+    for (exponent, recoil) in [(1.0, 1.0), (1.0, 0.0), (2.0, 0.4), (1.5, -0.3)] {
+        let law = WenLoop { limit_v: 3.0, slip_c: 4.0e-5, exponent, recoil };
+        let mut elements = Elements::new(&[2.0e4], &[1.0], false, STIFF, Some(law));
+        let (mut held, mut z) = (0.0_f64, 0.0_f64);
+        let mut worst = 0.0_f64;
+        let mut least = f64::INFINITY;
+        for tick in 0..20_000 {
+            // Cycles that lie to one side, of two sizes.
+            let phase = f64::from(tick) * std::f64::consts::TAU / 2000.0;
+            let input = 40.0 * (1.0 - phase.cos()) + 8.0 * (7.0 * phase).sin();
+            let before = elements.charge_c();
+            elements.solve(&branch(input));
+            elements.commit();
+            let drawn = elements.charge_c() - before;
+            held = (held + 2.0e4 * drawn).clamp(-1.0, 1.0);
+            for _ in 0..1000 {
+                let dz = drawn / 4.0e-5 / 1000.0;
+                let bend = if dz * z < 0.0 { recoil } else { 1.0 };
+                z += dz * (1.0 - bend * dz.signum() * z.signum() * z.abs().powf(exponent));
+            }
+            worst = worst.max((elements.sum_v() - (held + 3.0 * z)).abs());
+            least = least.min(z);
+        }
+        println!(
+            "n {exponent}, recoil {recoil}: off by {:.2} mV of 3 V at most, z from {least:.2}",
+            worst * 1e3
+        );
+        assert!(worst < 6.0e-3, "{worst} V at n {exponent}, recoil {recoil}");
+        assert!(least < -0.2, "it was never on its way back: {least}");
+    }
+}
+
+/// Of exponent one it is a yielding element, which other tests know.
+#[test]
+fn with_an_exponent_of_one_the_loop_is_an_element_that_yields() {
+    let law = WenLoop { limit_v: 2.0, slip_c: 5.0e-5, exponent: 1.0, recoil: 0.3 };
+    let mut beside = Elements::new(&[], &[], false, STIFF, Some(law));
+    let mut element = Elements::new(&[4.0e4], &[2.0], false, (1.0, 0.3), None);
+    for tick in 0..3000 {
+        let input = branch(60.0 * (f64::from(tick) * 0.01).sin() + 20.0);
+        let found = beside.solve(&input);
+        assert!((found - element.solve(&input)).abs() < 1.0e-9);
+        beside.commit();
+        element.commit();
+    }
+    assert!((beside.voltages()[0] - element.voltages()[0]).abs() < 1.0e-9);
 }

@@ -8,6 +8,7 @@ use std::f64::consts::TAU;
 use rand::rngs::StdRng;
 use rand::{Rng, RngExt};
 
+use crate::hysteresis::Hysteresis;
 use crate::world::{AxisWorld, Bend, Creep, Drift, Hum, Mode, Rate};
 
 /// Gives an axis the effect `name` of a `size` (`signed`: with its sign) in a further form; `false` if there is none. `form` is the same
@@ -24,6 +25,9 @@ pub(crate) fn apply(
         "amplifier-current-limit" => axis.slew_v_per_s = 0.6 / (1.0 + size) / 2e-6,
         "amplifier-hum" => axis.amplifier_hum = hum(size, form, rng),
         "sensor-hum" => axis.sensor_hum = hum(size, form, rng),
+        "hysteresis-shape" => {
+            axis.hysteresis = Hysteresis::partly_wen(&axis.constants, size, form);
+        }
         "hysteresis-rate" => {
             axis.rate = match form.random_range(0..3) {
                 0 => Rate::Saturating(2.0 * size, between(form, 1e-4, 3e-3)),
@@ -45,7 +49,13 @@ pub(crate) fn apply(
             }
         }
         "friction" => axis.viscous_at_rest = Some((size, between(form, 5e-5, 2e-3))),
-        "sensor-nonlinearity" => axis.bend = Some(Bend::Square(signed)),
+        "sensor-nonlinearity" => {
+            axis.bend = Some(if form.random_bool(0.5) {
+                Bend::Square(signed)
+            } else {
+                Bend::Ripple(signed, between(form, 4e-6, 12e-6), form.random_range(0.0..TAU))
+            });
+        }
         "sensor-drift" => axis.drift = Some(Drift::Wander(signed, rng.random_range(0.0..TAU))),
         _ => return false,
     }

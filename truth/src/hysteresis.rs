@@ -1,8 +1,9 @@
 //! Voltage that a stack's ferroelectric hysteresis takes from the drive, as a function of the charge's history.
 //!
-//! Four classes of operator. The nominal one is a sum of plays (the dual of the slip elements of Goldfarb and Celanovic,
+//! Five classes of operator. The nominal one is a sum of plays (the dual of the slip elements of Goldfarb and Celanovic,
 //! IEEE Control Systems 17(3), 1997); the others stand for stacks that are not built like the model: many uneven and
-//! one-sided plays (generalised Prandtl-Ishlinskii), a Bouc-Wen loop, and a Preisach operator in Everett form.
+//! one-sided plays (generalised Prandtl-Ishlinskii), a Bouc-Wen loop, a Preisach operator in Everett form,
+//! and a Bouc-Wen loop beside plays.
 
 use rand::{Rng, RngExt};
 
@@ -36,6 +37,66 @@ enum Class {
         z: f64,
     },
     Preisach(Preisach),
+    /// Several, whose voltages add up.
+    Sum(Vec<Class>),
+}
+
+impl Class {
+    /// Voltage (V) and slope (V/C) if the charge went from `last` to `q`.
+    fn at(&self, q: f64, last: f64) -> (f64, f64) {
+        match self {
+            Self::Plays(plays) => {
+                let (mut voltage, mut slope) = (0.0, 0.0);
+                for play in plays {
+                    let stretch = q - play.center_c;
+                    let held = stretch.clamp(-play.down_c, play.up_c);
+                    voltage += play.slope * held;
+                    slope += if held == stretch { play.slope } else { 0.0 };
+                }
+                (voltage, slope)
+            }
+            &Self::BoucWen { height_v, width_c, exponent, back, z } => {
+                let slope = bouc_wen_slope(z, q - last, width_c, exponent, back);
+                (height_v * (z + slope * (q - last)), height_v * slope)
+            }
+            Self::Preisach(operator) => operator.at(q, last),
+            Self::Sum(classes) => classes.iter().fold((0.0, 0.0), |sum, class| {
+                let (voltage, slope) = class.at(q, last);
+                (sum.0 + voltage, sum.1 + slope)
+            }),
+        }
+    }
+
+    /// Moves from charge `last` to `q`.
+    fn commit(&mut self, q: f64, last: f64) {
+        match self {
+            Self::Plays(plays) => {
+                for play in plays {
+                    play.center_c = play.center_c.clamp(q - play.up_c, q + play.down_c);
+                }
+            }
+            Self::BoucWen { width_c, exponent, back, z, .. } => {
+                let slope = bouc_wen_slope(*z, q - last, *width_c, *exponent, *back);
+                *z = (*z + slope * (q - last)).clamp(-1.0, 1.0);
+            }
+            Self::Preisach(operator) => operator.commit(q, last),
+            Self::Sum(classes) => classes.iter_mut().for_each(|class| class.commit(q, last)),
+        }
+    }
+
+    /// Back to the virgin curve.
+    fn forget(&mut self) {
+        match self {
+            Self::Plays(plays) => plays.iter_mut().for_each(|play| play.center_c = 0.0),
+            Self::BoucWen { z, .. } => *z = 0.0,
+            Self::Preisach(operator) => {
+                operator.turns.clear();
+                operator.rising = true;
+                operator.voltage_v = 0.0;
+            }
+            Self::Sum(classes) => classes.iter_mut().for_each(Self::forget),
+        }
+    }
 }
 
 /// Preisach operator by its Everett function E(d, m): rise of the voltage after a reversal, over the distance d from it.
@@ -111,11 +172,7 @@ fn left(mut turns: &[(f64, f64)], rising: bool, q: f64) -> &[(f64, f64)] {
 impl Hysteresis {
     /// The nominal stack's: a play for each slip element.
     pub fn nominal(axis: &Axis) -> Self {
-        let play = |&(capacitance, limit): &(f64, f64)| {
-            let half = capacitance * limit;
-            Play { slope: 1.0 / capacitance, up_c: half, down_c: half, center_c: 0.0 }
-        };
-        Self { class: Class::Plays(axis.slip.iter().map(play).collect()), charge_c: 0.0 }
+        Self { class: Class::Plays(nominal_plays(axis)), charge_c: 0.0 }
     }
 
     /// Many plays with uneven widths and slopes, optionally wider on the way down: the sum is `size` times the nominal height
@@ -172,42 +229,29 @@ impl Hysteresis {
         Self { class: Class::Preisach(operator), charge_c: 0.0 }
     }
 
+    /// A Bouc-Wen loop in place of this share of the nominal elements, which stay as they are otherwise.
+    pub fn partly_wen(axis: &Axis, share: f64, rng: &mut impl Rng) -> Self {
+        let mut plays = nominal_plays(axis);
+        plays.iter_mut().for_each(|play| play.slope *= 1.0 - share);
+        let (height, widest) = envelope(axis);
+        let loop_beside = Class::BoucWen {
+            height_v: share * height * rng.random_range(0.8..1.3),
+            width_c: widest * rng.random_range(0.3..0.7),
+            exponent: rng.random_range(1.0..2.2),
+            back: rng.random_range(0.4..0.9),
+            z: 0.0,
+        };
+        Self { class: Class::Sum(vec![Class::Plays(plays), loop_beside]), charge_c: 0.0 }
+    }
+
     /// Voltage (V) and slope (V/C) if the charge went to `q` now.
     pub fn at(&self, q: f64) -> (f64, f64) {
-        match &self.class {
-            Class::Plays(plays) => {
-                let (mut voltage, mut slope) = (0.0, 0.0);
-                for play in plays {
-                    let stretch = q - play.center_c;
-                    let held = stretch.clamp(-play.down_c, play.up_c);
-                    voltage += play.slope * held;
-                    slope += if held == stretch { play.slope } else { 0.0 };
-                }
-                (voltage, slope)
-            }
-            &Class::BoucWen { height_v, width_c, exponent, back, z } => {
-                let slope = bouc_wen_slope(z, q - self.charge_c, width_c, exponent, back);
-                (height_v * (z + slope * (q - self.charge_c)), height_v * slope)
-            }
-            Class::Preisach(operator) => operator.at(q, self.charge_c),
-        }
+        self.class.at(q, self.charge_c)
     }
 
     /// Moves to charge `q` and remembers it.
     pub fn commit(&mut self, q: f64) {
-        let last = self.charge_c;
-        match &mut self.class {
-            Class::Plays(plays) => {
-                for play in plays {
-                    play.center_c = play.center_c.clamp(q - play.up_c, q + play.down_c);
-                }
-            }
-            Class::BoucWen { width_c, exponent, back, z, .. } => {
-                let slope = bouc_wen_slope(*z, q - last, *width_c, *exponent, *back);
-                *z = (*z + slope * (q - last)).clamp(-1.0, 1.0);
-            }
-            Class::Preisach(operator) => operator.commit(q, last),
-        }
+        self.class.commit(q, self.charge_c);
         self.charge_c = q;
     }
 
@@ -219,15 +263,7 @@ impl Hysteresis {
     /// Back to the virgin curve.
     fn forget(&mut self) {
         self.charge_c = 0.0;
-        match &mut self.class {
-            Class::Plays(plays) => plays.iter_mut().for_each(|play| play.center_c = 0.0),
-            Class::BoucWen { z, .. } => *z = 0.0,
-            Class::Preisach(operator) => {
-                operator.turns.clear();
-                operator.rising = true;
-                operator.voltage_v = 0.0;
-            }
-        }
+        self.class.forget();
     }
 
     /// Leaves a random memory: what an unknown past between -0.1 and 1 of the charge `top_c` (C) has written.
@@ -244,6 +280,15 @@ impl Hysteresis {
             swing *= rng.random_range(0.3..0.9);
         }
     }
+}
+
+/// A play for each slip element.
+fn nominal_plays(axis: &Axis) -> Vec<Play> {
+    let play = |&(capacitance, limit): &(f64, f64)| {
+        let half = capacitance * limit;
+        Play { slope: 1.0 / capacitance, up_c: half, down_c: half, center_c: 0.0 }
+    };
+    axis.slip.iter().map(play).collect()
 }
 
 fn bouc_wen_slope(z: f64, dq: f64, width_c: f64, exponent: f64, back: f64) -> f64 {

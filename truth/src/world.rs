@@ -218,6 +218,8 @@ pub enum Bend {
     Saturation(f64),
     /// Parabola about zero: error (m) at full range.
     Square(f64),
+    /// Integral error of a converter: amplitude (m), period (m), phase (rad); none at zero.
+    Ripple(f64, f64, f64),
 }
 
 impl Bend {
@@ -229,6 +231,9 @@ impl Bend {
             Self::Ess(size) => size * 10.39 * along * (along - 0.5) * (along - 1.0) * 2.0,
             Self::Saturation(size) => size * along.abs().powf(2.5) * along.signum(),
             Self::Square(size) => size * along * along,
+            Self::Ripple(size, period_m, phase) => {
+                size * ((TAU * x / period_m + phase).sin() - phase.sin())
+            }
         }
     }
 }

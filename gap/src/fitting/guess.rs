@@ -15,6 +15,9 @@ use crate::session::floor::Kind;
 use crate::session::scene::{Scene, Stack};
 use crate::session::spectra::{SLOWEST_HUM_HZ, has_harmonic, lines, push_apart, resonances};
 
+/// Periods of a gauge's ripple at which a fit begins, as shares of the travel.
+const RIPPLES: [f64; 4] = [0.3, 0.5, 0.8, 1.3];
+
 /// What the session offers to look at.
 #[derive(Debug, Clone)]
 pub struct Ranges {
@@ -322,6 +325,11 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
                 for name in ["quadratic_per_m", "cubic_per_m2"] {
                     wanted.push(with(&[(name, typical(name)), ("zero_m", zero_m)]));
                 }
+            }
+            // A fit finds the phase, but not the period.
+            for share in RIPPLES {
+                let sine = ("ripple_sine_m", typical("ripple_sine_m"));
+                wanted.push(with(&[sine, ("ripple_period_m", share * span)]));
             }
         }
         "gauge-warming" => {

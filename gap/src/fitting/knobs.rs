@@ -212,7 +212,7 @@ pub(crate) fn is_plain(effect: EffectRef) -> bool {
 }
 
 /// Parameters of an effect that has laws of its own kind, or parts, one list each: a fit that starts from one of them stays with it.
-const LAWS: [(&str, &[&[&str]]); 4] = [
+const LAWS: [(&str, &[&[&str]]); 7] = [
     (
         "hysteresis-rate",
         &[
@@ -228,7 +228,34 @@ const LAWS: [(&str, &[&[&str]]); 4] = [
             &WANDERS,
         ],
     ),
+    (
+        "sensor-nonlinearity",
+        &[
+            &["quadratic_per_m", "cubic_per_m2", "zero_m"],
+            &["ripple_sine_m", "ripple_cosine_m", "ripple_period_m"],
+        ],
+    ),
     ("creep", &[&["per_decade", "onset_s"], &["level", "tilt"]]),
+    (
+        "hysteresis-shape",
+        &[
+            &["strength", "slip", "tilt", "bend", "skew", "imprint_v", "yield", "spread", "recoil"],
+            &["beside_v", "beside_c", "beside_exponent", "beside_recoil"],
+        ],
+    ),
+    (
+        "viscoelasticity",
+        &[
+            &[
+                "branch_n_per_m",
+                "damping_n_s_per_m",
+                "time_constant_s",
+                "relaxed_share",
+                "spread_decades",
+            ],
+            &["further_share", "further_ratio"],
+        ],
+    ),
     (
         "second-mass",
         &[
@@ -341,6 +368,9 @@ const MODE_STEP: f64 = 4.0e-3;
 /// Farthest end of a gauge's calibration, as a multiple of the travel.
 pub(crate) const FARTHEST_ZERO: f64 = 1.5;
 
+/// Longest period of a gauge's ripple, as a multiple of the travel.
+const LONGEST_RIPPLE: f64 = 2.0;
+
 /// Knobs of an effect at one place: sizes and shapes in the order of its parameters.
 pub fn knobs_at(effect: EffectRef, place: Place, ranges: &Ranges) -> Vec<Knob> {
     let info = effect.info();
@@ -369,6 +399,11 @@ pub fn knobs_at(effect: EffectRef, place: Place, ranges: &Ranges) -> Vec<Knob> {
             // A bend that ends far beyond the travel is a gain.
             if (info.name, p.name) == ("sensor-nonlinearity", "zero_m") {
                 knob.max = knob.max.min(FARTHEST_ZERO * ranges.travel_m.1.abs());
+            }
+            // A ripple that is much longer than the travel is one, or a bend.
+            if p.name == "ripple_period_m" {
+                let span = ranges.travel_m.1 - ranges.travel_m.0;
+                knob.max = knob.max.min(LONGEST_RIPPLE * span).max(knob.min);
             }
             // A hum has the harmonics that the spectrum shows.
             for (order, seen) in ["second_", "third_"].iter().zip(ranges.harmonics) {

@@ -17,12 +17,42 @@ use crate::session::scene::{Stack, Wanted};
 /// The effect that this is about.
 pub(super) const LOOP: &str = "hysteresis-shape";
 /// Its parameters beyond the plain ones.
-const FURTHER: [&str; 5] = ["bend", "imprint_v", "yield", "spread", "recoil"];
+const FURTHER: [&str; 9] = [
+    "bend",
+    "imprint_v",
+    "yield",
+    "spread",
+    "recoil",
+    "beside_v",
+    "beside_c",
+    "beside_exponent",
+    "beside_recoil",
+];
+
+/// Where a fit begins with a loop of Bouc and Wen's law beside the elements: a tenth of the usual height, taken off them.
+const BESIDE: [(&str, f64); 12] = [
+    ("strength", 0.9),
+    ("slip", 1.0),
+    ("tilt", 0.0),
+    ("bend", 0.0),
+    ("skew", 0.0),
+    ("imprint_v", 0.0),
+    ("yield", 0.0),
+    ("spread", 0.0),
+    ("beside_v", 1.2),
+    ("beside_c", 5.0e-5),
+    ("beside_exponent", 1.5),
+    ("beside_recoil", 0.0),
+];
+/// Share of what is left without it that may be left with it: it has four numbers of its own.
+const WITH_LOOP_BESIDE: f64 = 0.5;
 
 /// Where a fit begins that did not get away from corners: what takes them off a loop.
-const GIVEN_WAY: [(&str, f64); 2] = [("yield", 0.3), ("spread", 0.3)];
-/// How an element comes back then: as Dahl's, and half as Bouc and Wen's.
-const RECOILS: [f64; 2] = [1.0, 0.5];
+/// An element comes back as Dahl's, or half as Bouc and Wen's.
+const GIVEN_WAY: [[(&str, f64); 3]; 2] = [
+    [("yield", 0.3), ("spread", 0.3), ("recoil", 1.0)],
+    [("yield", 0.3), ("spread", 0.3), ("recoil", 0.5)],
+];
 /// Share of the cost that a fit which got nowhere leaves.
 const STUCK: f64 = 0.999;
 
@@ -63,16 +93,16 @@ pub(crate) fn rests(effect: &str, parameter: &str) -> bool {
     effect == LOOP && FURTHER.contains(&parameter)
 }
 
-/// Values of a model with elements that give way, come back with this recoil and have spread: from a loop with corners a fit may not get to one without.
-fn given_way(model: &Model, recoil: f64) -> Vec<f64> {
+/// Values of a model with parameters of its loops set where a fit with another law begins: from one with corners a fit may not get to one without.
+fn begun_with(model: &Model, settings: &[(&str, f64)]) -> Vec<f64> {
     let mut values = model.fit.values.clone();
     for (t, term) in model.terms.iter().enumerate().filter(|(_, term)| term.name() == LOOP) {
         let parameters = term.effect.info().parameters;
         for place in model.knob_range(t).step_by(parameters.len()) {
             for (value, parameter) in values[place..].iter_mut().zip(parameters) {
-                let mut starts = GIVEN_WAY.into_iter().chain([("recoil", recoil)]);
-                if let Some((_, start)) = starts.find(|(name, _)| *name == parameter.name) {
-                    *value = start;
+                if let Some((_, start)) = settings.iter().find(|(name, _)| *name == parameter.name)
+                {
+                    *value = *start;
                 }
             }
         }
@@ -173,14 +203,21 @@ impl Search<'_> {
     pub(super) fn let_go(&self, bound: &Model, hopeless: f64, worth: f64) -> Result<Model, Error> {
         let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(bound).into_iter().unzip();
         let effort = Effort { iterations: ITERATIONS, hopeless, worth, ..self.effort() };
-        let freed = self.fit_model(terms.clone(), start.concat(), effort)?;
+        let mut freed = self.fit_model(terms.clone(), start.concat(), effort)?;
         if freed.fit.cost > STUCK * bound.fit.cost {
-            let [dahl, wen] = RECOILS
-                .map(|recoil| self.fit_model(terms.clone(), given_way(bound, recoil), effort));
+            let [dahl, wen] =
+                GIVEN_WAY.map(|way| self.fit_model(terms.clone(), begun_with(bound, &way), effort));
             let (dahl, wen) = (dahl?, wen?);
-            return Ok(if wen.fit.cost < dahl.fit.cost { wen } else { dahl });
+            freed = if wen.fit.cost < dahl.fit.cost { wen } else { dahl };
         }
-        Ok(freed)
+        let left = freed.fit.cost - self.noise;
+        if accept::is_clean(self.scene, &freed.fit.stack) || left < CLOSED * self.gap {
+            return Ok(freed);
+        }
+        let line = self.noise + WITH_LOOP_BESIDE * left;
+        let effort = Effort { hopeless: self.noise + NEAR * left, worth: f64::INFINITY, ..effort };
+        let beside = self.fit_model(terms, begun_with(&freed, &BESIDE), effort)?;
+        Ok(if beside.fit.cost < line { beside } else { freed })
     }
 
     /// The search gone on with a loop of any law right after two effects, where that accounts for all that two with a plain loop leave: what

@@ -1,6 +1,7 @@
 //! hysteresis-shape: loops of another height, width, fullness, symmetry or memory.
 
 use super::{Effect, Info, Kind, Parameter, Place, Scope, Stage};
+use crate::stages::hysteresis::WenLoop;
 use crate::stages::model::{Model, PiezoModel};
 
 pub(super) struct HysteresisShape;
@@ -30,11 +31,16 @@ static INFO: Info = Info {
         Parameter::size("yield", "1", 0.0, (0.0, 1.0), 0.3, "by how much every element gives way before it slips: rounder loops, a memory that small cycles wear off"),
         Parameter::size("spread", "1", 0.0, (0.0, 1.0), 0.5, "spread of the slip charge within an element, over the least slip charge: a continuum instead of steps"),
         Parameter::size("recoil", "1", 1.0, (0.0, 1.0), 0.5, "share of the yield on the way back: 1 for Dahl's law, 0 for that of Bouc and Wen with beta = gamma"),
+        Parameter::size("beside_v", "V", 0.0, (0.0, 60.0), 1.0, "height of a loop of Bouc and Wen's law beside the elements"),
+        Parameter::shape("beside_c", "C", (1.0e-9, 1.0), 5.0e-5, "charge in which it would come to that at its first slope").by_ratio(),
+        Parameter::shape("beside_exponent", "1", (0.5, 6.0), 1.0, "how late it bends: Wen's n"),
+        Parameter::shape("beside_recoil", "1", (-1.0, 1.0), 0.0, "share of the bend on the way back: (beta - gamma) / (beta + gamma)"),
     ],
     threshold: false,
     physics: "Element i: slope k_i' = strength e^(tilt u + bend (u^2 - 1/12)) k_i with u = Delta_i/Delta_max - 1/2, slip charge slip Delta_i; the \
               hysteresis voltage is multiplied by 1 + skew q/Delta_max and shifted by the imprint. With a yield y an element follows the charge by \
-              dz = dq (1 - y sgn(dq) z/Delta_i) until it slips (Dahl's law), on the way back with recoil y (Bouc and Wen's). Rate-independent, resets at reversals, grows \
+              dz = dq (1 - y sgn(dq) z/Delta_i) until it slips (Dahl's law), on the way back with recoil y (Bouc and Wen's). Beside them the loop beside_v z, dz = dq/beside_c (1 - |z|^n), whose minor loops do not \
+              close. Rate-independent, resets at reversals, grows \
               with amplitude. A stack whose rig has no elements gets ten of equal slope, in proportion to \
               strength - 1, spread over half the charge of its voltage range.",
     source: "Goldfarb and Celanovic, IEEE CSM 17(3), 1997; P. R. Dahl, Aerospace Corp. TOR-0158(3107-18)-1, 1968; Y. K. Wen, J. Eng. Mech. Div. ASCE 102(2), 1976; internal bias: Carl and Haerdtl, Ferroelectrics 17, 473, 1978; loops 10 to 15 % at full stroke, 2 % small (notes/physics.md, 4)",
@@ -85,6 +91,7 @@ impl Effect for HysteresisShape {
         else {
             return;
         };
+        let [limit_v, slip_c, exponent, back] = values[9..13] else { return };
         let axis = &mut model.axes[place.on()];
         let range_v = axis.amplifier.max_v - axis.amplifier.min_v;
         let piezo = &mut axis.piezo;
@@ -110,5 +117,6 @@ impl Effect for HysteresisShape {
         piezo.imprint_v = imprint_v;
         piezo.element_yield = element_yield;
         piezo.element_recoil = recoil;
+        piezo.loop_beside = (limit_v > 0.0).then_some(WenLoop { limit_v, slip_c, exponent, recoil: back });
     }
 }

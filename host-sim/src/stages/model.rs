@@ -3,6 +3,7 @@
 
 use nalgebra::DMatrix;
 
+use super::hysteresis::WenLoop;
 use crate::rig::{Axis, Rig};
 
 /// Model of a whole rig.
@@ -93,6 +94,8 @@ pub struct PiezoModel {
     pub element_yield: f64,
     /// Share of that on their way back, 0 to 1.
     pub element_recoil: f64,
+    /// A loop of another law beside the elements.
+    pub loop_beside: Option<WenLoop>,
     /// Growth of the hysteresis voltage with charge, 1/C.
     pub skew_per_c: f64,
     /// Loss in series with the elements, V per A at a current of [`LOSS_AT_A`].
@@ -107,6 +110,14 @@ pub struct PiezoModel {
     pub creep: Vec<Kelvin>,
     /// Growth of the slow strain with the transducer voltage, 1/V.
     pub creep_level_per_v: f64,
+}
+
+impl PiezoModel {
+    /// Slope of the hysteresis voltage where nothing slips, V/C.
+    pub fn steepest_v_per_c(&self) -> f64 {
+        let beside = self.loop_beside.map_or(0.0, |beside| beside.limit_v / beside.slip_c);
+        self.slopes_v_per_c.iter().sum::<f64>() + beside
+    }
 }
 
 /// Loss between charge and strain: the stack pushes as if the transducer voltage were `voltage_v ln(1 + u^onset) / onset`,
@@ -267,6 +278,7 @@ impl AxisModel {
                 imprint_v: 0.0,
                 element_yield: 0.0,
                 element_recoil: 1.0,
+                loop_beside: None,
                 skew_per_c: 0.0,
                 resistance_ohm: 0.0,
                 loss_exponent: 1.0,

@@ -36,7 +36,7 @@ const LEVELS: usize = 9;
 /// with `v_z = v - S q`, `q = T x + C v_z`, the force `T v_z` falls by `T^2 S/(1 + C S)` a metre.
 pub(super) fn stiffening(model: &AxisModel) -> Vec<f64> {
     let piezo = &model.piezo;
-    let all: f64 = piezo.slopes_v_per_c.iter().sum();
+    let all = piezo.steepest_v_per_c();
     if all == 0.0 {
         return vec![0.0];
     }

@@ -9,10 +9,12 @@
 //! tick to tick, and memories that no history of charge leaves behind. [`Yielding`] elements give way before they slip.
 
 mod ladder;
+mod wen;
 mod yielding;
 mod zones;
 
 pub use ladder::Ladder;
+pub use wen::WenLoop;
 pub use yielding::Yielding;
 pub use zones::Zones;
 
@@ -88,10 +90,16 @@ macro_rules! either {
 
 impl Elements {
     /// Elements from slopes (V/C) and limits (V), virgin; `scaled`: their limits will change from tick to tick; `give`: by how much
-    /// they give way before they slip, and which share of that on the way back, both 0 to 1.
-    pub fn new(slopes: &[f64], limits: &[f64], scaled: bool, give: (f64, f64)) -> Self {
-        if give.0 > 0.0 {
-            Self::Yielding(Yielding::new(slopes, limits, give))
+    /// they give way before they slip, and which share of that on the way back, both 0 to 1; `beside`: a loop of another law.
+    pub fn new(
+        slopes: &[f64],
+        limits: &[f64],
+        scaled: bool,
+        give: (f64, f64),
+        beside: Option<WenLoop>,
+    ) -> Self {
+        if give.0 > 0.0 || beside.is_some() {
+            Self::Yielding(Yielding::new(slopes, limits, give, beside))
         } else if scaled {
             Self::Zones(Zones::new(slopes, limits))
         } else {

@@ -15,6 +15,7 @@
 //! and stays between `z` and the slip limit for any charge. The step in which an element comes through zero takes the yield of where it
 //! began, which is an error of the second order in the charge of one step, once a reversal.
 
+use super::wen::{Wen, WenLoop};
 use super::{Branch, SlipElements};
 
 /// Residual at which the charge is found, V (about 1e-18 m).
@@ -32,6 +33,8 @@ const NEVER_C: f64 = 1.0e3;
 #[derive(Debug, Clone)]
 pub struct Yielding {
     groups: Vec<Group>,
+    /// A loop of another law beside them, the last of the voltages.
+    beside: Option<Wen>,
     count: usize,
     charge_c: f64,
     /// Factor on the slip charges now.
@@ -124,8 +127,13 @@ impl Group {
 }
 
 impl Yielding {
-    /// Elements from slopes (V/C), limits (V), the yield and the recoil (both 0 to 1), virgin.
-    pub fn new(slopes: &[f64], limits: &[f64], (share, recoil): (f64, f64)) -> Self {
+    /// Elements from slopes (V/C), limits (V), the yield and the recoil (both 0 to 1), and a loop beside them, virgin.
+    pub fn new(
+        slopes: &[f64],
+        limits: &[f64],
+        (share, recoil): (f64, f64),
+        beside: Option<WenLoop>,
+    ) -> Self {
         let mut groups = vec![Group::NONE; slopes.len().div_ceil(LANES)];
         for (i, (&slope, &limit)) in slopes.iter().zip(limits).enumerate() {
             // An element without a slope or a limit holds nothing, whatever its slip charge.
@@ -138,6 +146,7 @@ impl Yielding {
         }
         let mut made = Self {
             groups,
+            beside: beside.map(Wen::new),
             count: slopes.len(),
             charge_c: 0.0,
             scale: 1.0,
@@ -156,7 +165,8 @@ impl Yielding {
     pub fn voltages(&self) -> Vec<f64> {
         let volts =
             |group: &Group| std::array::from_fn::<f64, LANES, _>(|l| group.slope[l] * group.z_c[l]);
-        self.groups.iter().flat_map(volts).take(self.count).collect()
+        let beside = self.beside.iter().map(Wen::voltage_v);
+        self.groups.iter().flat_map(volts).take(self.count).chain(beside).collect()
     }
 
     /// Sum of the element voltages, V.
@@ -173,6 +183,9 @@ impl Yielding {
                 let volts = voltage_of(slope, limit, at * LANES + lane).clamp(-limit, limit);
                 group.z_c[lane] = if slope > 0.0 { volts / slope } else { 0.0 };
             }
+        }
+        if let Some(beside) = &mut self.beside {
+            beside.set_voltage(|slope, limit| voltage_of(slope, limit, self.count));
         }
         (self.scale, self.rising, self.short) = (1.0, true, 1.0);
         self.sum_v = self.voltages().iter().sum();
@@ -192,6 +205,10 @@ impl Yielding {
             let [down, up] = group.tangents(self.scale, self.recoil);
             tangents = [tangents[0] + down, tangents[1] + up];
         }
+        if let Some(beside) = &self.beside {
+            let [down, up] = beside.tangents(self.scale);
+            tangents = [tangents[0] + down, tangents[1] + up];
+        }
         self.tangents = tangents;
     }
 
@@ -202,6 +219,10 @@ impl Yielding {
         let mut sums = (0.0, 0.0);
         for group in &mut self.groups {
             let (volts, slope) = group.draw(step, (scale, self.recoil));
+            sums = (sums.0 + volts, sums.1 + slope);
+        }
+        if let Some(beside) = &mut self.beside {
+            let (volts, slope) = beside.draw(step, scale);
             sums = (sums.0 + volts, sums.1 + slope);
         }
         sums
@@ -285,6 +306,9 @@ impl SlipElements for Yielding {
         }
         for group in &mut self.groups {
             group.z_c = group.next_z_c;
+        }
+        if let Some(beside) = &mut self.beside {
+            beside.commit();
         }
         self.charge_c += drawn_c;
         (self.scale, self.sum_v, self.short) = (scale, sum_v, short);
