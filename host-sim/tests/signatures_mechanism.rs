@@ -273,6 +273,30 @@ fn friction_steps_by_the_same_force_at_every_reversal() {
     assert!((gap(1.0, 1e4) / gap(0.2, 2e3) - 1.0).abs() < 0.02);
 }
 
+/// With a corner it is a spring until it slips, and a constant force from there.
+#[test]
+fn friction_with_a_corner_is_a_spring_until_it_slips() {
+    let settings = [("coulomb_n", 5.0), ("presliding_m", 1e-6), ("corner", 1.0)];
+    let rig = single("friction", &settings);
+    // 5 N a micrometre beside the mechanism's 4.8.
+    let spring = single("stiffness", &[("ratio", (4.8 + 5.0) / 4.8)]);
+    let rise = |rig: &Rig, volts: f64| {
+        run(rig, 1e4, 1.0, |t| volts * (2.0 * t).min(1.0)).position_m.remove(0)
+    };
+    let (held, stiff) = (rise(&rig, 8.0), rise(&spring, 8.0));
+    let reach = held[9_999];
+    assert!((0.5e-6..1e-6).contains(&reach), "{reach}");
+    let off = held.iter().zip(&stiff).fold(0.0_f64, |worst, (a, b)| worst.max((a - b).abs()));
+    assert!(off < 1e-12, "{off}");
+    // Once it slips the stage stays behind by 5 N over its stiffness.
+    let behind = rise(&one_axis(), 60.0)[9_999] - rise(&rig, 60.0)[9_999];
+    let expected = over_branch(|branch| 5.0 / (STAGE_N_PER_M + branch));
+    assert!(
+        (0.98 * expected.start..1.02 * expected.end).contains(&behind),
+        "{behind} {expected:?}"
+    );
+}
+
 /// A stage that starts away from zero rests where friction caught it on its way there.
 #[test]
 fn friction_holds_a_stage_where_it_starts() {

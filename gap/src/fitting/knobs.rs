@@ -315,8 +315,8 @@ fn walks(order: usize, end: f64) -> f64 {
 }
 
 /// Parameters that stay at their lower bound in a fit that starts there: a variety of the effect, of which there are starts of its own.
-const STAYS: [(&str, &str); 2] =
-    [("friction", "creeping_m_per_s"), ("amplifier-current-limit", "knee")];
+const STAYS: [(&str, &str); 3] =
+    [("friction", "creeping_m_per_s"), ("friction", "corner"), ("amplifier-current-limit", "knee")];
 
 /// Freeze the parameters of laws that do nothing at `values` beside one that does, at the same place, and those of varieties that do nothing.
 pub(crate) fn keep_laws(knobs: &mut [Knob], values: &[f64]) {

@@ -5,7 +5,7 @@
 //! one. So where the plain variety leaves something the other one is fitted as well.
 //!
 //! Creep goes with the logarithm of time and with the voltage, or a little otherwise in either: two numbers more, which most stacks do not need.
-//! What relaxes in a mechanism may be two materials, whose times have nothing to do with each other.
+//! What rubs yields ever more before it slips, or holds as a spring does until it slips. What relaxes in a mechanism may be two materials, whose times have nothing to do with each other.
 //!
 //! Loops widen with the rate by one law or another, and each of them comes near to the others: a fit that begins with one stays with it. So
 //! do gauges that drift to an end and those that drift to and fro.
@@ -19,10 +19,11 @@ use crate::fitting::model::Model;
 use crate::search::select::{CLOSED, Search, WORTH_OF_FIRST};
 
 /// Effect, the parameter that is zero in the plain variety, where the other one starts, and by how much the effect's first size grows there.
-const VARIETIES: [(&str, &str, f64, f64); 3] = [
+const VARIETIES: [(&str, &str, f64, f64); 4] = [
     ("amplifier-current-limit", "knee", 0.35, 1.25),
     ("creep", "level", 0.1, 1.0),
     ("viscoelasticity", "further_share", 0.3, 0.8),
+    ("friction", "corner", 0.7, 1.0),
 ];
 
 /// Effect with laws of several kinds: for each the parameters that are not at their zero, or the default of a shape, where a fit of it begins.

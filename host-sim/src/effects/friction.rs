@@ -22,13 +22,15 @@ static INFO: Info = Info {
         Parameter::size("coulomb_n", "N", 0.0, (0.0, 1.0e5), 3.0, "friction once sliding"),
         Parameter::shape("presliding_m", "m", (1.0e-9, 1.0e-4), 1.0e-7, "displacement in which it builds up").by_ratio(),
         Parameter::shape("creeping_m_per_s", "m/s", (EVERY_SPEED_M_PER_S, 1.0e-1), EVERY_SPEED_M_PER_S, "speed below which it falls").by_ratio(),
+        Parameter::shape("corner", "1", (0.0, 1.0), 0.0, "share of it that holds like a spring until it slips: 0 is Dahl's law, 1 a spring and a slider"),
     ],
     threshold: false,
     physics: "Dahl: dF/dx = -(coulomb/presliding) (1 + F sgn(dx)/coulomb), so after a reversal the force goes to the other \
               side within a few presliding lengths, whatever the stroke; presliding -> 0 is Coulomb. In closed form over a \
               tick, so it does not depend on the step. The level is coulomb tanh(v/creeping): a lubricated guide \
-              rubs less the slower it goes; at the smallest creeping speed it is the same at all speeds.",
-    source: "Dahl, 1968; Coulomb's level made smooth with a hyperbolic tangent; a touching cable, a guide or a stop; loop height constant in force (notes/gap.md, section 3)",
+              rubs less the slower it goes; at the smallest creeping speed it is the same at all speeds. The corner's share is that of a \
+              spring of coulomb/presliding in series with a slider (Jenkins), which gives way at once.",
+    source: "Dahl, 1968; G. M. Jenkins, Br. J. Appl. Phys. 13, 30, 1962; Coulomb's level made smooth with a hyperbolic tangent; a touching cable, a guide or a stop; loop height constant in force (notes/gap.md, section 3)",
     revealed_by: "slow triangles at small and large strokes: the same step at each reversal",
     confused_with: &["hysteresis-shape", "preload-loss", "hysteresis-rate"],
 };
@@ -42,22 +44,25 @@ struct Dahl {
     coulomb_n: f64,
     presliding_m: f64,
     creeping_m_per_s: f64,
+    /// Share that holds until it slips.
+    corner: f64,
     step_s: f64,
     speed: EndSpeed,
-    force_n: f64,
+    /// What yields and what holds.
+    force_n: [f64; 2],
     at_m: f64,
-    /// Displacement that was looked at last in this tick, and the force there.
-    last: Cell<(f64, f64)>,
+    /// Displacement that was looked at last in this tick, and the forces there.
+    last: Cell<(f64, [f64; 2])>,
 }
 
 impl Force for Dahl {
     fn start(&mut self, _time_s: f64) {
-        (self.step_s, self.force_n, self.speed) = (0.0, 0.0, EndSpeed::default());
+        (self.step_s, self.force_n, self.speed) = (0.0, [0.0; 2], EndSpeed::default());
     }
 
     fn begin(&mut self, step_s: f64) {
         self.step_s = step_s;
-        self.last.set((f64::NAN, 0.0));
+        self.last.set((f64::NAN, [0.0; 2]));
     }
 
     fn force(&self, x_m: f64) -> (f64, f64) {
@@ -75,22 +80,34 @@ impl Force for Dahl {
             // On the way to rest there is no speed to fall with.
             (1.0_f64.copysign(travel), 0.0)
         };
+        let (yields_n, holds_n) =
+            ((1.0 - self.corner) * self.coulomb_n, self.corner * self.coulomb_n);
         let gone = travel.abs() / self.presliding_m;
         let kept = if gone > FORGOTTEN { 0.0 } else { (-gone).exp() };
-        let left = (self.force_n + self.coulomb_n * level) * kept;
+        let left = (self.force_n[0] + yields_n * level) * kept;
         // Where the level falls faster than the force follows, the slope is taken for none, so that a tangent points to the side of the
         // answer.
         let holding = (left * travel.signum()).max(0.0) / self.presliding_m;
-        let force = left - self.coulomb_n * level;
-        self.last.set((x_m, force));
-        (force, -rise * (1.0 - kept) - holding)
+        let mut forces = [left - yields_n * level, 0.0];
+        let mut slope = -rise * (1.0 - self.corner) * (1.0 - kept) - holding;
+        if holds_n > 0.0 {
+            let stiffness = holds_n / self.presliding_m;
+            let held = self.force_n[1] - stiffness * travel;
+            let most = holds_n * level.abs();
+            forces[1] = held.max(-most).min(most);
+            slope -= if forces[1] == held { stiffness } else { rise * self.corner };
+        }
+        self.last.set((x_m, forces));
+        (forces[0] + forces[1], slope)
     }
 
     fn commit(&mut self, x_m: f64, step_s: f64) {
         if step_s > 0.0 {
             // Where a tick was solved is mostly where it was looked at last.
-            let (at_m, force_n) = self.last.get();
-            self.force_n = if at_m == x_m { force_n } else { self.force(x_m).0 };
+            if self.last.get().0 != x_m {
+                self.force(x_m);
+            }
+            self.force_n = self.last.get().1;
             self.speed.commit(x_m - self.at_m);
         }
         self.at_m = x_m;
@@ -111,11 +128,12 @@ impl Effect for Friction {
             coulomb_n: values[0],
             presliding_m: values[1],
             creeping_m_per_s: values[2],
+            corner: values[3],
             step_s: 0.0,
             speed: EndSpeed::default(),
-            force_n: 0.0,
+            force_n: [0.0; 2],
             at_m: 0.0,
-            last: Cell::new((f64::NAN, 0.0)),
+            last: Cell::new((f64::NAN, [0.0; 2])),
         }));
     }
 }
