@@ -279,7 +279,7 @@ fn friction_with_a_corner_is_a_spring_until_it_slips() {
     let settings = [("coulomb_n", 5.0), ("presliding_m", 1e-6), ("corner", 1.0)];
     let rig = single("friction", &settings);
     // 5 N a micrometre beside the mechanism's 4.8.
-    let spring = single("stiffness", &[("ratio", (4.8 + 5.0) / 4.8)]);
+    let spring = single("stiffness", &[("change_n_per_m", 5.0e6)]);
     let rise = |rig: &Rig, volts: f64| {
         run(rig, 1e4, 1.0, |t| volts * (2.0 * t).min(1.0)).position_m.remove(0)
     };

@@ -93,9 +93,14 @@ impl Force for Dahl {
         if holds_n > 0.0 {
             let stiffness = holds_n / self.presliding_m;
             let held = self.force_n[1] - stiffness * travel;
-            let most = holds_n * level.abs();
+            // What holds at every speed holds at rest.
+            let (most, rise) = if self.goes_with_time() {
+                (holds_n * level.abs(), rise * self.corner)
+            } else {
+                (holds_n, 0.0)
+            };
             forces[1] = held.max(-most).min(most);
-            slope -= if forces[1] == held { stiffness } else { rise * self.corner };
+            slope -= if forces[1] == held { stiffness } else { rise };
         }
         self.last.set((x_m, forces));
         (forces[0] + forces[1], slope)
