@@ -247,9 +247,11 @@ impl LinearMechanism {
             Some(held_n) => (held_shape, force_n + held_n),
             None => (static_shape, force_n),
         };
-        for i in 0..self.states {
-            if self.held_n.is_none() || relaxing.iter().all(|branch| branch.at != i) {
-                self.state[i] = shape[i] * pushed_n;
+        let rests =
+            |i: usize| self.held_n.is_none() || relaxing.iter().all(|branch| branch.at != i);
+        for (i, (state, shape)) in self.state.iter_mut().zip(shape).enumerate() {
+            if rests(i) {
+                *state = shape * pushed_n;
             }
         }
     }
