@@ -29,9 +29,8 @@ const FURTHER: [&str; 9] = [
     "beside_recoil",
 ];
 
-/// Where a fit begins with a loop of Bouc and Wen's law beside the elements: a tenth of the usual height, taken off them.
-const BESIDE: [(&str, f64); 12] = [
-    ("strength", 0.9),
+/// Where a fit begins with a loop of Bouc and Wen's law beside the elements: nominal ones, of which it takes the place of ...
+const BESIDE: [(&str, f64); 10] = [
     ("slip", 1.0),
     ("tilt", 0.0),
     ("bend", 0.0),
@@ -39,13 +38,17 @@ const BESIDE: [(&str, f64); 12] = [
     ("imprint_v", 0.0),
     ("yield", 0.0),
     ("spread", 0.0),
-    ("beside_v", 1.2),
     ("beside_c", 5.0e-5),
     ("beside_exponent", 1.5),
     ("beside_recoil", 0.0),
 ];
+/// ... this share, with this height, V.
+const BESIDE_OF: [(f64, f64); 3] = [(0.05, 0.6), (0.12, 1.5), (0.35, 4.5)];
+/// Iterations of that fit, and the multiple of what is left without the loop that it may leave on its way: the start is far off.
+const BESIDE_ITERATIONS: usize = 20;
+const ON_THE_WAY: f64 = 5.0;
 /// Share of what is left without it that may be left with it: it has four numbers of its own.
-const WITH_LOOP_BESIDE: f64 = 0.5;
+const WITH_LOOP_BESIDE: f64 = 0.8;
 
 /// Where a fit begins that did not get away from corners: what takes them off a loop.
 /// An element comes back as Dahl's, or half as Bouc and Wen's.
@@ -215,8 +218,27 @@ impl Search<'_> {
             return Ok(freed);
         }
         let line = self.noise + WITH_LOOP_BESIDE * left;
-        let effort = Effort { hopeless: self.noise + NEAR * left, worth: f64::INFINITY, ..effort };
-        let beside = self.fit_model(terms, begun_with(&freed, &BESIDE), effort)?;
+        let begun = |(share, height_v): (f64, f64)| {
+            let of_share = [("strength", 1.0 - share), ("beside_v", height_v)];
+            let start = begun_with(&freed, &[&BESIDE[..], &of_share].concat());
+            self.fit_model(terms.clone(), start, Effort { iterations: 0, ..effort })
+        };
+        let mut starts = BESIDE_OF.into_iter().map(begun).collect::<Result<Vec<_>, _>>()?;
+        starts.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+        let effort = Effort {
+            iterations: BESIDE_ITERATIONS,
+            hopeless: self.noise + ON_THE_WAY * left,
+            worth: f64::INFINITY,
+            ..effort
+        };
+        let beside = self.fit_model(terms, starts.swap_remove(0).fit.values, effort)?;
+        eprintln!(
+            "DBG {:?} gap {} left {left} beside {} {:?}",
+            freed.key(),
+            self.gap,
+            beside.fit.cost - self.noise,
+            beside.fit.values
+        );
         Ok(if beside.fit.cost < line { beside } else { freed })
     }
 

@@ -5,7 +5,13 @@
 //! (Y. K. Wen, "Method for random vibration of hysteretic systems", J. Eng. Mech. Div. ASCE 102(2), 1976; for stacks: T. S. Low and
 //! W. Guo, "Modeling of a three-layer piezoelectric bimorph beam with hysteresis", J. Microelectromech. Syst. 4(4), 1995).
 //!
-//! Over a tick the power of `|z/slip|` is that of its start; what is left is Dahl's law, solved as in [`super::Yielding`].
+//! A tick is drawn in parts of a tenth of the slip charge: an edge of 100 V draws half of it in one. Over a part the power of `|z/slip|` is
+//! that of its middle; what is left is Dahl's law, solved as in [`super::Yielding`].
+
+/// Most of the slip charge that a part draws.
+const PART: f64 = 0.1;
+/// Most parts of a tick: what draws more than all the slip charge comes to the limit anyway.
+const MOST_PARTS: f64 = 40.0;
 
 /// Such a loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -48,36 +54,41 @@ impl Wen {
         self.z_c = voltage_of(slope, limit).clamp(-limit, limit) / slope;
     }
 
-    /// How much it bends now, 1/C, if the charge goes in the direction of `sign`.
+    /// How much it bends at `z_c`, 1/C, if the charge goes in the direction of `sign`.
     #[inline]
-    fn give(&self, sign: f64, scale: f64) -> f64 {
-        let slip = self.law.slip_c * scale;
-        let back = if sign * self.z_c < 0.0 { self.law.recoil } else { 1.0 };
-        back * (self.z_c.abs() / slip).powf(self.law.exponent - 1.0) / slip
+    fn give(&self, z_c: f64, sign: f64, slip_c: f64) -> f64 {
+        let back = if sign * z_c < 0.0 { self.law.recoil } else { 1.0 };
+        back * (z_c.abs() / slip_c).powf(self.law.exponent - 1.0) / slip_c
+    }
+
+    /// Slope at `z_c`, V/C: what draws a little more goes on from there.
+    #[inline]
+    fn slope_at(&self, z_c: f64, sign: f64, slip_c: f64) -> f64 {
+        let is_held = sign * z_c >= slip_c;
+        let steep = 1.0 - sign * self.give(z_c, sign, slip_c) * z_c;
+        if is_held { 0.0 } else { self.slope() * steep.max(0.0) }
     }
 
     /// Voltage (V) and slope (V/C) after drawing `drawn` coulombs, which is `far` without its sign, with its slip charge scaled.
     #[inline]
     pub(super) fn draw(&mut self, (drawn, far, sign): (f64, f64, f64), scale: f64) -> (f64, f64) {
-        let (slope, slip) = (self.slope(), self.law.slip_c * scale);
-        let give = self.give(sign, scale);
-        let half = 0.5 * give * far;
-        let inverse = 1.0 / (1.0 + half);
-        let free = (self.z_c * (1.0 - half) + drawn) * inverse;
-        self.next_z_c = free.max(-slip).min(slip);
-        let steep = (1.0 - sign * give * self.z_c) * inverse * inverse;
-        (slope * self.next_z_c, if self.next_z_c == free { slope * steep } else { 0.0 })
+        let slip = self.law.slip_c * scale;
+        let parts = (far / (PART * slip)).ceil().clamp(1.0, MOST_PARTS);
+        let (part, half) = (drawn / parts, 0.5 * far / parts);
+        let mut z = self.z_c;
+        for _ in 0..parts as usize {
+            let middle = z + 0.5 * part * (1.0 - sign * self.give(z, sign, slip) * z);
+            let give = half * self.give(middle, sign, slip);
+            z = ((z * (1.0 - give) + part) / (1.0 + give)).max(-slip).min(slip);
+        }
+        self.next_z_c = z;
+        (self.slope() * z, self.slope_at(z, sign, slip))
     }
 
     /// Slopes if the charge falls and rises from where it stands, V/C.
     #[inline]
     pub(super) fn tangents(&self, scale: f64) -> [f64; 2] {
-        let slip = self.law.slip_c * scale;
-        [-1.0, 1.0].map(|sign| {
-            let is_held = sign * self.z_c >= slip;
-            let steep = 1.0 - sign * self.give(sign, scale) * self.z_c;
-            if is_held { 0.0 } else { self.slope() * steep }
-        })
+        [-1.0, 1.0].map(|sign| self.slope_at(self.z_c, sign, self.law.slip_c * scale))
     }
 
     /// Accept what was drawn last.
