@@ -161,6 +161,8 @@ fn a_pump_is_not_the_hum_of_a_gauge_and_of_an_amplifier() {
     assert!(diagnosis.looks_like.as_ref().is_some_and(|words| words.contains("floor-hum")));
 }
 
+const MEMORIES: [&str; 4] =
+    ["hysteresis-shape", "sensor-nonlinearity", "viscoelasticity", "friction"];
 const LOSSES: [&str; 3] = ["hysteresis-rate", "friction", "viscoelasticity"];
 
 #[test]
@@ -173,6 +175,20 @@ fn friction_that_falls_at_creeping_speeds_is_friction() {
 fn relaxation_in_every_decade_is_viscoelasticity() {
     let diagnosis = drawn_in_a_further_form(3201, 4, "viscoelasticity", &LOSSES);
     assert_explained(&diagnosis, &[("viscoelasticity", &[2][..])]);
+}
+
+#[test]
+fn a_loop_of_bouc_and_wen_beside_the_elements_is_a_loop() {
+    let diagnosis = drawn_in_a_further_form(8101, 14, "hysteresis-shape", &MEMORIES);
+    assert_explained(&diagnosis, &[("hysteresis-shape", &[1][..])]);
+    assert!(diagnosis.gap.closed > 0.99, "{}", diagnosis.gap.closed);
+}
+
+#[test]
+fn a_gauge_whose_error_repeats_is_bent() {
+    let diagnosis = drawn_in_a_further_form(8101, 11, "sensor-nonlinearity", &MEMORIES);
+    assert_explained(&diagnosis, &[("sensor-nonlinearity", &[1][..])]);
+    assert!(diagnosis.causes[0].parameters["ripple_sine_m"].value != 0.0);
 }
 
 #[test]

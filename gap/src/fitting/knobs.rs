@@ -314,6 +314,9 @@ fn walks(order: usize, end: f64) -> f64 {
     end * std::f64::consts::SQRT_2 / ((order as f64 + 0.5) * std::f64::consts::PI)
 }
 
+/// Effects of which a part has one law or the other.
+const EXCLUSIVE: [&str; 2] = ["hysteresis-rate", "sensor-drift"];
+
 /// Parameters that stay at their lower bound in a fit that starts there: a variety of the effect, of which there are starts of its own.
 const STAYS: [(&str, &str); 3] =
     [("friction", "creeping_m_per_s"), ("friction", "corner"), ("amplifier-current-limit", "knee")];
@@ -350,7 +353,9 @@ pub(crate) fn keep_laws(knobs: &mut [Knob], values: &[f64]) {
         }
         let Some((name, place, law, _)) = law_of(knob) else { continue };
         let acts = |other: usize| acting.contains(&(name, place, other));
-        if !acts(law) && LAWS.iter().any(|(_, laws)| (0..laws.len()).any(acts)) {
+        // Beside a further law the first one goes on, but where they exclude each other.
+        let may_go_on = law == 0 && !EXCLUSIVE.contains(&name);
+        if !acts(law) && !may_go_on && LAWS.iter().any(|(_, laws)| (0..laws.len()).any(acts)) {
             (knob.min, knob.max) = (value, value);
         }
     }
