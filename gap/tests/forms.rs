@@ -161,8 +161,10 @@ fn a_pump_is_not_the_hum_of_a_gauge_and_of_an_amplifier() {
     assert!(diagnosis.looks_like.as_ref().is_some_and(|words| words.contains("floor-hum")));
 }
 
+/// What the set 8101 was drawn among.
 const MEMORIES: [&str; 4] =
     ["hysteresis-shape", "sensor-nonlinearity", "viscoelasticity", "friction"];
+/// ... and 3201.
 const LOSSES: [&str; 3] = ["hysteresis-rate", "friction", "viscoelasticity"];
 
 #[test]
