@@ -224,16 +224,16 @@ fn answer(
     };
     let mut in_order_nm = None;
     let past_known = scene.tracks.iter().any(|t| !t.past.is_empty());
-    if past_known && causes.iter().any(|c| past::SLOW.contains(&c.effect.as_str())) {
+    if past_known && causes.iter().any(|c| c.effect == "creep") {
         notes.push(if scene.runs_on {
             in_order_nm = Some(in_order.after_nm);
             format!(
-                "What creeps or relaxes runs on from one recording to the next here. The figures are those of a replay of single files, which knows \
+                "Creep runs on from one recording to the next here. The figures are those of a replay of single files, which knows \
                  of it what the part before settle_s tells; taken in the session's order the same rig leaves {:.1} nm of held-out recordings.",
                 in_order.after_nm
             )
         } else {
-            "Every recording begins with a stack and a mechanism that no longer creep from the one before.".into()
+            "Every recording begins with a stack that no longer creeps from the one before.".into()
         });
     }
     let wandering = found.as_ref().map_or_else(Vec::new, Found::wandering);

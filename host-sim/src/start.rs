@@ -9,10 +9,9 @@ pub struct Initial {
     pub amplifier_v: Option<f64>,
     /// Electrical memory of the stack.
     pub memory: Memory,
-    /// Transducer voltage at which all that is slow was settled before `past`, V; 0 is a rested stack.
+    /// Transducer voltage at which the slow strains were settled before `past`, V; 0 is a rested stack.
     pub held_v: f64,
-    /// What happened since, the oldest first, up to the first tick: slow strains and what relaxes in the mechanism run on between
-    /// recordings. Without it strains were settled at `held_v`, and the mechanism is at rest.
+    /// What happened since, the oldest first, up to the first tick: slow strains run on between recordings.
     pub past: Option<Arc<[Stretch]>>,
 }
 

@@ -18,12 +18,13 @@ use crate::fitting::knobs::EffectRef;
 use crate::fitting::model::Model;
 use crate::search::select::{CLOSED, Search, WORTH_OF_FIRST};
 
-/// Effect, the parameter that is zero in the plain variety, where the other one starts, and by how much the effect's first size grows there.
-const VARIETIES: [(&str, &str, f64, f64); 4] = [
-    ("amplifier-current-limit", "knee", 0.35, 1.25),
-    ("creep", "level", 0.1, 1.0),
-    ("viscoelasticity", "further_share", 0.3, 0.8),
-    ("friction", "corner", 0.7, 1.0),
+/// Effect, the parameter that is zero in the plain variety, where the other one starts, by how much the effect's first size grows there, and
+/// the share of what the plain one leaves that the other one may leave.
+const VARIETIES: [(&str, &str, f64, f64, f64); 4] = [
+    ("amplifier-current-limit", "knee", 0.35, 1.25, 1.0),
+    ("creep", "level", 0.1, 1.0, 1.0),
+    ("viscoelasticity", "further_share", 0.3, 0.8, 0.8),
+    ("friction", "corner", 0.7, 1.0, 1.0),
 ];
 
 /// Effect with laws of several kinds: for each the parameters that are not at their zero, or the default of a shape, where a fit of it begins.
@@ -96,7 +97,7 @@ impl Search<'_> {
         let info = model.terms[last].effect.info();
         let left = model.fit.cost - self.noise;
         let variety = VARIETIES.iter().find(|(name, ..)| *name == info.name);
-        let Some(&(_, parameter, start, growth)) = variety else { return Ok(model) };
+        let Some(&(_, parameter, start, growth, share)) = variety else { return Ok(model) };
         // Where the plain one does nothing at all, there is nothing that a knee could round off.
         let does_nothing = model.terms.len() == 1 && left > (1.0 - WORTH_OF_FIRST) * self.gap;
         if left < CLOSED * self.gap || model.fit.cost > effort.hopeless || does_nothing {
@@ -117,8 +118,23 @@ impl Search<'_> {
         if values == model.fit.values {
             return Ok(model);
         }
+        let line = self.noise + share * left;
         let effort = Effort { hopeless: model.fit.cost, ..effort };
         let other = self.fit_model(model.terms.clone(), values, effort)?;
-        Ok(if other.fit.cost < model.fit.cost { other } else { model })
+        let is_it = other.fit.cost < line && self.relaxes_in_time(&other, last);
+        Ok(if is_it { other } else { model })
+    }
+
+    /// Whether each of two branches of what relaxes, if the `nth` effect is that, does so within the session: one that takes longer is a
+    /// stiffness, and a damper beside it makes a lag of another effect.
+    fn relaxes_in_time(&self, model: &Model, nth: usize) -> bool {
+        let parameters = model.terms[nth].effect.info().parameters;
+        let index = |name: &str| parameters.iter().position(|p| p.name == name);
+        let names = ["time_constant_s", "further_share", "further_ratio"].map(index);
+        let [Some(first), Some(share), Some(ratio)] = names else { return true };
+        let values = |place: usize| model.values(nth, place);
+        (0..model.terms[nth].places.len())
+            .map(values)
+            .all(|v| v[share] == 0.0 || v[first] * v[ratio].max(1.0) < self.ranges.session_s)
     }
 }

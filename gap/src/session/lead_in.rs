@@ -44,8 +44,7 @@ const MOST_SWEEPS: usize = 1_000_000;
 type Voltages = SVector<f64, STRETCHES>;
 
 /// Initial states of all axes that suit the lead-in of a recording best: `settle` is its number of samples, `measured_m(axis, sample)` what
-/// the gauges read there. Rested stacks where the rig has nothing that
-/// creeps or relaxes, where gauges read several axes, where a sample was not measured,
+/// the gauges read there. Rested stacks where the rig has no creep, where gauges read several axes, where a sample was not measured,
 /// or where the lead-in is too short or too small to tell.
 pub fn initial(
     rig: &Rig,
@@ -67,10 +66,9 @@ pub fn initial(
         .flat_map(|axis| (0..input.drive_v[axis].len()).map(move |sample| swing_v(axis, sample)))
         .fold(0.0, f64::max);
     for axis in 0..rig.axes.len() {
-        let has = |effect, size| rig.get(effect, Place::Axis(axis), size).unwrap_or(0.0) != 0.0;
-        let is_slow = has("creep", "per_decade") || has("viscoelasticity", "branch_n_per_m");
+        let creeps = rig.get("creep", Place::Axis(axis), "per_decade").unwrap_or(0.0) != 0.0;
         let further = |a: usize, b: usize| if swing_v(axis, b) > swing_v(axis, a) { b } else { a };
-        let Some(turn) = lead_in.clone().reduce(further).filter(|_| is_slow) else { continue };
+        let Some(turn) = lead_in.clone().reduce(further).filter(|_| creeps) else { continue };
         let blocks = blocks(turn..settle, input.sample_rate_hz);
         if swing_v(axis, turn) < FORGETS * largest_v || blocks.len() < FEWEST_BLOCKS {
             continue;

@@ -66,32 +66,24 @@ pub(crate) fn remember(rig: &Rig, tracks: &mut [Track]) {
     }
 }
 
-/// Effects that run on.
-pub(crate) const SLOW: [&str; 2] = ["creep", "viscoelasticity"];
-
-/// Whether what is slow runs on from file to file here, or every file begins with a stack and a mechanism that were given time to rest: what
-/// suits the recordings better, as far as one of these effects accounts for them. Without them it does not matter.
+/// Whether creep runs on from file to file here, or every file begins with a stack that was given time to rest: what suits the
+/// recordings better. Without creep it does not matter.
 pub(crate) fn tell(
     scene: &mut Scene,
     rig: &Rig,
     effects: &[EffectRef],
     ranges: &Ranges,
 ) -> Result<(), Error> {
-    let slow: Vec<EffectRef> =
-        effects.iter().copied().filter(|e| SLOW.contains(&e.info().name)).collect();
-    if slow.is_empty() || scene.tracks.iter().all(|track| track.past.is_empty()) {
+    let creep: Vec<EffectRef> =
+        effects.iter().copied().filter(|e| e.info().name == "creep").collect();
+    if creep.is_empty() || scene.tracks.iter().all(|track| track.past.is_empty()) {
         return Ok(());
     }
     let left = |scene: &Scene| -> Result<f64, Error> {
         let fitted = |c: &Channel| !c.held_out;
         let tick = || {};
-        let mut least = f64::INFINITY;
-        for effect in &slow {
-            let alone = std::slice::from_ref(effect);
-            let model = Search::new(scene, rig, alone, ranges, &fitted, &tick)?.run()?;
-            least = least.min(model.map_or(f64::INFINITY, |m| m.fit.cost));
-        }
-        Ok(least)
+        let model = Search::new(scene, rig, &creep, ranges, &fitted, &tick)?.run()?;
+        Ok(model.map_or(f64::INFINITY, |m| m.fit.cost))
     };
     let running_on = left(scene)?;
     scene.runs_on = false;

@@ -31,7 +31,7 @@ static INFO: Info = Info {
             "standard deviation of the logarithm of the relaxation times",
         ),
         Parameter::size("further_share", "1", 0.0, (0.0, 100.0), 0.3, "stiffness of a further branch over that of the first"),
-        Parameter::shape("further_ratio", "1", (1.0e-5, 1.0e5), 30.0, "time in which it relaxes over that of the first").by_ratio(),
+        Parameter::shape("further_ratio", "1", (3.0e-3, 3.0e2), 30.0, "time in which it relaxes over that of the first").by_ratio(),
     ],
     threshold: false,
     physics: "A Maxwell branch (spring branch, damper branch * time_constant) and a damper beside the mechanism's spring: \

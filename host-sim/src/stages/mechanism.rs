@@ -11,7 +11,6 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 
 use super::model::{AxisModel, StateKind};
-use crate::start::Stretch;
 
 /// Most linear states of an axis.
 pub const MAX_STATES: usize = 12;
@@ -24,8 +23,8 @@ const PHASE: f64 = 0.45;
 /// Most sub-steps.
 const MAX_SUBSTEPS: usize = 32;
 
-/// `s' = A s` of a model with the kinds of its states and those that relax; the force acts on row 1 through the mass.
-fn continuous(model: &AxisModel) -> (DMatrix<f64>, Vec<StateKind>, Vec<Relaxing>) {
+/// `s' = A s` of a model with the kinds of its states; the force acts on row 1 through the mass.
+fn continuous(model: &AxisModel) -> (DMatrix<f64>, Vec<StateKind>) {
     let mass = model.piezo.mass_kg + model.mechanism.mass_kg;
     let damping = model.piezo.damping_n_s_per_m + model.mechanism.damping_n_s_per_m;
     let stiffness = model.piezo.stiffness_n_per_m + model.mechanism.stiffness_n_per_m;
@@ -40,25 +39,11 @@ fn continuous(model: &AxisModel) -> (DMatrix<f64>, Vec<StateKind>, Vec<Relaxing>
     a[(1, 0)] = -stiffness / mass;
     a[(1, 1)] = -damping / mass;
     let mut at = 2;
-    let mut relaxing = Vec::new();
     for block in &model.mechanism.linear {
         block.assemble(&mut a, at, mass);
-        if block.states() == [StateKind::Position] {
-            let (rate_per_s, pull_n_per_m) = (-a[(at, at)], a[(1, at)] * mass);
-            relaxing.push(Relaxing { at, rate_per_s, pull_n_per_m });
-        }
         at += block.states().len();
     }
-    (a, kinds, relaxing)
-}
-
-/// A state that follows the displacement slowly, as the damper of a Maxwell branch does.
-#[derive(Debug, Clone, Copy)]
-struct Relaxing {
-    at: usize,
-    rate_per_s: f64,
-    /// Force on the mechanism where it stands a metre off, N/m.
-    pull_n_per_m: f64,
+    (a, kinds)
 }
 
 /// Sub-steps of a tick of `step_s` that resolve how the hysteresis follows the modes of a heavy mechanism: a power of
@@ -73,7 +58,7 @@ pub fn substeps(model: &AxisModel, step_s: f64) -> usize {
 
 /// Fastest resolved mode of a mechanism, rad/s; 0 where none swings.
 pub fn swings_at(model: &AxisModel) -> f64 {
-    let (a, ..) = continuous(model);
+    let (a, _) = continuous(model);
     a.complex_eigenvalues()
         .iter()
         // By its natural frequency: a damper makes a fast mode swing slowly, but follow no slower.
@@ -93,19 +78,13 @@ pub struct LinearMechanism {
     states: usize,
     propagator: Arc<Propagator>,
     state: [f64; MAX_STATES],
-    /// What the relaxing states pull with while they stand where a past left them, N; `None`: they rest with the rest.
-    held_n: Option<f64>,
 }
 
 /// What a tick does, for every level of the stiffening.
 #[derive(Debug)]
 struct Propagator {
     levels: Vec<Level>,
-    /// Where the states rest under a newton.
     static_shape: [f64; MAX_STATES],
-    /// The same with the relaxing ones held at zero.
-    held_shape: [f64; MAX_STATES],
-    relaxing: Vec<Relaxing>,
 }
 
 /// Propagators that a thread keeps: a fit simulates many recordings of one mechanism, and most of its steps leave the
@@ -133,7 +112,7 @@ impl LinearMechanism {
     /// Build for a tick of `step_s` under forces that follow a time constant of `shape_s` (0: a step), stiffened by
     /// each of `added_n_per_m`.
     pub fn new(model: &AxisModel, step_s: f64, shape_s: f64, added_n_per_m: &[f64]) -> Self {
-        let (a, kinds, relaxing) = continuous(model);
+        let (a, kinds) = continuous(model);
         let states = kinds.len();
         let mass = model.piezo.mass_kg + model.mechanism.mass_kg;
         let stiffness = model.piezo.stiffness_n_per_m + model.mechanism.stiffness_n_per_m;
@@ -153,7 +132,6 @@ impl LinearMechanism {
                         Arc::new(Propagator::new(
                             &a,
                             &kinds,
-                            relaxing,
                             (mass, stiffness),
                             step_s,
                             &shape,
@@ -166,7 +144,7 @@ impl LinearMechanism {
             kept.push(entry);
             propagator
         });
-        Self { states, propagator, state: [0.0; MAX_STATES], held_n: None }
+        Self { states, propagator, state: [0.0; MAX_STATES] }
     }
 
     /// Displacement, m.
@@ -214,45 +192,10 @@ impl LinearMechanism {
         self.propagator.levels.len()
     }
 
-    /// Let what relaxes live through a past under a force of so much a volt (N/V), after `held_v` for ever, the oldest stretch first: it
-    /// stands there when the mechanism comes to rest. Without a past it rests where the mechanism does.
-    pub fn live_through(&mut self, past: Option<&[Stretch]>, held_v: f64, transformer: f64) {
-        let m_per_v = transformer * self.compliance_m_per_n();
-        self.held_n = past.filter(|_| !self.propagator.relaxing.is_empty()).map(|past| {
-            let mut held_n = 0.0;
-            for branch in &self.propagator.relaxing {
-                let stood_v = past.iter().fold(held_v, |before_v, stretch| {
-                    let gone = -(-stretch.lasted_s * branch.rate_per_s).exp_m1();
-                    before_v + (stretch.transducer_v - before_v) * gone
-                });
-                self.state[branch.at] = m_per_v * stood_v;
-                held_n += branch.pull_n_per_m * self.state[branch.at];
-            }
-            held_n
-        });
-    }
-
-    /// Displacement a newton while it comes to rest (m/N), and the force (N) of what does not come to rest with it.
-    pub fn resting(&self) -> (f64, f64) {
-        match self.held_n {
-            Some(held_n) => (self.propagator.held_shape[0], held_n),
-            None => (self.propagator.static_shape[0], 0.0),
-        }
-    }
-
     /// Come to rest under a constant force, N.
     pub fn rest_under(&mut self, force_n: f64) {
-        let Propagator { static_shape, held_shape, relaxing, .. } = &*self.propagator;
-        let (shape, pushed_n) = match self.held_n {
-            Some(held_n) => (held_shape, force_n + held_n),
-            None => (static_shape, force_n),
-        };
-        let rests =
-            |i: usize| self.held_n.is_none() || relaxing.iter().all(|branch| branch.at != i);
-        for (i, (state, shape)) in self.state.iter_mut().zip(shape).enumerate() {
-            if rests(i) {
-                *state = shape * pushed_n;
-            }
+        for i in 0..self.states {
+            self.state[i] = self.propagator.static_shape[i] * force_n;
         }
     }
 
@@ -302,18 +245,17 @@ impl Propagator {
     fn new(
         a: &DMatrix<f64>,
         kinds: &[StateKind],
-        relaxing: Vec<Relaxing>,
         (mass, stiffness): (f64, f64),
         step_s: f64,
         shape: &Shape,
         added_n_per_m: &[f64],
     ) -> Self {
-        let mut held = a.clone();
-        for branch in &relaxing {
-            held.row_mut(branch.at).fill(0.0);
-            held[(branch.at, branch.at)] = -1.0;
-        }
-        let (static_shape, held_shape) = (resting_shape(a, mass), resting_shape(&held, mass));
+        let n = kinds.len();
+        let mut input = DVector::<f64>::zeros(n);
+        input[1] = 1.0 / mass;
+        let resting = (-a).lu().solve(&input).unwrap_or_else(|| DVector::zeros(n));
+        let mut static_shape = [0.0; MAX_STATES];
+        static_shape[..n].copy_from_slice(resting.as_slice());
         let rate = (stiffness / mass).sqrt();
         let levels = added_n_per_m
             .iter()
@@ -323,19 +265,8 @@ impl Propagator {
                 Level::new(&stiffer, kinds, (mass, stiffness, rate), step_s, shape, added)
             })
             .collect();
-        Self { levels, static_shape, held_shape, relaxing }
+        Self { levels, static_shape }
     }
-}
-
-/// Where the states of `s' = A s` rest under a newton.
-fn resting_shape(a: &DMatrix<f64>, mass: f64) -> [f64; MAX_STATES] {
-    let n = a.nrows();
-    let mut input = DVector::<f64>::zeros(n);
-    input[1] = 1.0 / mass;
-    let resting = (-a).lu().solve(&input).unwrap_or_else(|| DVector::zeros(n));
-    let mut shape = [0.0; MAX_STATES];
-    shape[..n].copy_from_slice(resting.as_slice());
-    shape
 }
 
 impl Level {

@@ -168,9 +168,7 @@ impl AxisSim {
                 self.elements.set_voltages(|_, _, i| volts.get(i).copied().unwrap_or(0.0));
             }
         }
-        let past = initial.past.as_deref();
-        self.creep.settle(initial.held_v, past.unwrap_or_default());
-        self.mechanism.live_through(past, initial.held_v, self.transformer);
+        self.creep.settle(initial.held_v, initial.past.as_deref().unwrap_or_default());
         self.forces.iter_mut().for_each(|force| force.start(time_s));
         self.rest(0.0);
         for force in &mut self.forces {
@@ -188,11 +186,10 @@ impl AxisSim {
             let weight = 1.0 + self.skew_per_c * charge;
             self.transducer_v = self.output_v - self.imprint_v - self.elements.sum_v() * weight;
             let (pushed, slope) = self.forces_at(before.1);
-            let (compliance, held_n) = self.mechanism.resting();
-            let stiffness = 1.0 / compliance;
-            let driven = self.transformer * (self.transducer_v + slow) + outside_n + held_n;
+            let stiffness = 1.0 / self.mechanism.compliance_m_per_n();
+            let driven = self.transformer * (self.transducer_v + slow) + outside_n;
             let x = (driven + pushed - slope * before.1) / (stiffness - slope);
-            self.force_n = x * stiffness - held_n;
+            self.force_n = x * stiffness;
             self.mechanism.rest_under(self.force_n);
             charge = self.transformer * x + self.capacitance * self.transducer_v;
             if (x - before.1).abs() <= REST_M && (charge - before.0).abs() <= 1.0e-18 {
