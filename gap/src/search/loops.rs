@@ -214,9 +214,18 @@ impl Search<'_> {
             freed = if wen.fit.cost < dahl.fit.cost { wen } else { dahl };
         }
         let left = freed.fit.cost - self.noise;
-        if accept::is_clean(self.scene, &freed.fit.stack) || left < CLOSED * self.gap {
+        let is_done = accept::is_clean(self.scene, &freed.fit.stack) || left < CLOSED * self.gap;
+        if is_done || freed.terms.len() > 1 || self.is_spent() {
             return Ok(freed);
         }
+        self.scene.work.apart(|| self.with_loop_beside(freed))
+    }
+
+    /// A loop of any law by itself, or the same with one of Bouc and Wen's law in place of a share of its elements, if that leaves less.
+    fn with_loop_beside(&self, freed: Model) -> Result<Model, Error> {
+        let left = freed.fit.cost - self.noise;
+        let terms = freed.terms.clone();
+        let effort = self.effort();
         let line = self.noise + WITH_LOOP_BESIDE * left;
         let begun = |(share, height_v): (f64, f64)| {
             let of_share = [("strength", 1.0 - share), ("beside_v", height_v)];
@@ -232,13 +241,6 @@ impl Search<'_> {
             ..effort
         };
         let beside = self.fit_model(terms, starts.swap_remove(0).fit.values, effort)?;
-        eprintln!(
-            "DBG {:?} gap {} left {left} beside {} {:?}",
-            freed.key(),
-            self.gap,
-            beside.fit.cost - self.noise,
-            beside.fit.values
-        );
         Ok(if beside.fit.cost < line { beside } else { freed })
     }
 

@@ -84,6 +84,14 @@ impl Work {
         is_spent
     }
 
+    /// Do something that takes nothing from what the rest may spend: another form of an effect that was found says nothing against looking on.
+    pub(crate) fn apart<T>(&self, done: impl FnOnce() -> T) -> T {
+        let before = self.spent.load(Ordering::Relaxed);
+        let result = done();
+        self.spent.store(before, Ordering::Relaxed);
+        result
+    }
+
     /// What may be spent, in tenths of plain ticks of an axis.
     fn most(&self) -> u64 {
         PLAIN * (MOST_PASSES * self.session + MOST_BEYOND)
