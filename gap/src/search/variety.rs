@@ -5,7 +5,7 @@
 //! one. So where the plain variety leaves something the other one is fitted as well.
 //!
 //! Creep goes with the logarithm of time and with the voltage, or a little otherwise in either: two numbers more, which most stacks do not need.
-//! What rubs yields ever more before it slips, or holds as a spring does until it slips. What relaxes in a mechanism may be two materials, whose times have nothing to do with each other.
+//! What rubs yields ever more before it slips, or holds as a spring does until it slips.
 //!
 //! Loops widen with the rate by one law or another, and each of them comes near to the others: a fit that begins with one stays with it. So
 //! do gauges that drift to an end and those that drift to and fro.
@@ -20,15 +20,14 @@ use crate::search::select::{CLOSED, Search, WORTH_OF_FIRST};
 
 /// Effect, the parameter that is zero in the plain variety, where the other one starts, by how much the effect's first size grows there, and
 /// the share of what the plain one leaves that the other one may leave.
-const VARIETIES: [(&str, &str, f64, f64, f64); 4] = [
+const VARIETIES: [(&str, &str, f64, f64, f64); 3] = [
     ("amplifier-current-limit", "knee", 0.35, 1.25, 1.0),
     ("creep", "level", 0.1, 1.0, 1.0),
-    ("viscoelasticity", "further_share", 0.3, 0.8, 0.8),
     ("friction", "corner", 0.7, 1.0, 0.8),
 ];
 /// Those that are tried without being counted, where the plain one leaves this share of the gap at most: they were added to a search whose
 /// allowance was measured without them.
-const APART: ([&str; 2], f64) = (["viscoelasticity", "friction"], 0.25);
+const APART: ([&str; 1], f64) = (["friction"], 0.25);
 
 /// Effect with laws of several kinds: for each the parameters that are not at their zero, or the default of a shape, where a fit of it begins.
 const BEGINNINGS: [(&str, &[&[&str]]); 2] = [
@@ -129,20 +128,6 @@ impl Search<'_> {
         let effort = Effort { hopeless: model.fit.cost, ..effort };
         let fit = || self.fit_model(model.terms.clone(), values, effort);
         let other = if is_apart { self.scene.work.apart(fit) } else { fit() }?;
-        let is_it = other.fit.cost < line && self.relaxes_in_time(&other, last);
-        Ok(if is_it { other } else { model })
-    }
-
-    /// Whether each of two branches of what relaxes, if the `nth` effect is that, does so within the session: one that takes longer is a
-    /// stiffness, and a damper beside it makes a lag of another effect.
-    fn relaxes_in_time(&self, model: &Model, nth: usize) -> bool {
-        let parameters = model.terms[nth].effect.info().parameters;
-        let index = |name: &str| parameters.iter().position(|p| p.name == name);
-        let names = ["time_constant_s", "further_share", "further_ratio"].map(index);
-        let [Some(first), Some(share), Some(ratio)] = names else { return true };
-        let values = |place: usize| model.values(nth, place);
-        (0..model.terms[nth].places.len())
-            .map(values)
-            .all(|v| v[share] == 0.0 || v[first] * v[ratio].max(1.0) < self.ranges.session_s)
+        Ok(if other.fit.cost < line { other } else { model })
     }
 }
