@@ -53,21 +53,6 @@ fn viscoelasticity_is_one_exponential() {
     assert!(expected.contains(&found), "{found} {expected:?}");
 }
 
-/// Two materials: what is left of a step is the sum of two exponentials.
-#[test]
-fn relaxation_may_have_two_times() {
-    let branches = [("branch_n_per_m", 2e5), ("time_constant_s", 0.1)];
-    let further = [("further_share", 0.5), ("further_ratio", 20.0)];
-    let rig = single("viscoelasticity", &[branches, further].concat());
-    let x = run(&rig, 1e3, 21.0, |t| if t < 1.0 { 0.0 } else { 60.0 }).position_m.remove(0);
-    let left = |after_s: f64| x[20_999] - x[((1.0 + after_s) * 1e3) as usize];
-    let sum = |after_s: f64| (-after_s / 0.1).exp() + 0.5 * (-after_s / 2.0).exp();
-    for after_s in [0.1, 0.2, 0.4, 1.0, 4.0] {
-        let (found, expected) = (left(after_s) / left(0.05), sum(after_s) / sum(0.05));
-        assert!((found / expected - 1.0).abs() < 0.03, "{after_s} s: {found} for {expected}");
-    }
-}
-
 /// What is left of a step's relaxation is the log-normal mean of exponentials.
 #[test]
 fn relaxation_times_spread_by_decades() {

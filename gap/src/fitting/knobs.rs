@@ -212,7 +212,7 @@ pub(crate) fn is_plain(effect: EffectRef) -> bool {
 }
 
 /// Parameters of an effect that has laws of its own kind, or parts, one list each: a fit that starts from one of them stays with it.
-const LAWS: [(&str, &[&[&str]]); 7] = [
+const LAWS: [(&str, &[&[&str]]); 6] = [
     (
         "hysteresis-rate",
         &[
@@ -241,19 +241,6 @@ const LAWS: [(&str, &[&[&str]]); 7] = [
         &[
             &["strength", "slip", "tilt", "bend", "skew", "imprint_v", "yield", "spread", "recoil"],
             &["beside_v", "beside_c", "beside_exponent", "beside_recoil"],
-        ],
-    ),
-    (
-        "viscoelasticity",
-        &[
-            &[
-                "branch_n_per_m",
-                "damping_n_s_per_m",
-                "time_constant_s",
-                "relaxed_share",
-                "spread_decades",
-            ],
-            &["further_share", "further_ratio"],
         ],
     ),
     (

@@ -7,6 +7,8 @@
 //! part of the answer, and the best model still leaves something, is it let go; and what it then explains counts if it is much more, or as much with
 //! fewer effects.
 
+use host_sim::effects::Place;
+
 use crate::Error;
 use crate::fitting::fit::Effort;
 use crate::fitting::model::{Model, Term, join_terms, start_terms};
@@ -29,29 +31,7 @@ const FURTHER: [&str; 9] = [
     "beside_recoil",
 ];
 
-/// Where a fit begins with a loop of Bouc and Wen's law beside the elements: nominal ones, of which it takes the place of ...
-const BESIDE: [(&str, f64); 10] = [
-    ("slip", 1.0),
-    ("tilt", 0.0),
-    ("bend", 0.0),
-    ("skew", 0.0),
-    ("imprint_v", 0.0),
-    ("yield", 0.0),
-    ("spread", 0.0),
-    ("beside_c", 5.0e-5),
-    ("beside_exponent", 1.5),
-    ("beside_recoil", 0.0),
-];
-/// ... this share, with this height, V.
-const BESIDE_OF: [(f64, f64); 3] = [(0.05, 0.6), (0.12, 1.5), (0.35, 4.5)];
-/// Iterations of that fit, and the multiple of what is left without the loop that it may leave on its way: the start is far off.
-const BESIDE_ITERATIONS: usize = 20;
-const ON_THE_WAY: f64 = 5.0;
-/// Share of what is left without it that may be left with it: it has four numbers of its own.
-const WITH_LOOP_BESIDE: f64 = 0.8;
-
-/// Where a fit begins that did not get away from corners: what takes them off a loop.
-/// An element comes back as Dahl's, or half as Bouc and Wen's.
+/// Where a fit begins that did not get away from corners: what takes them off a loop. An element comes back as Dahl's, or half as Bouc and Wen's.
 const GIVEN_WAY: [[(&str, f64); 3]; 2] = [
     [("yield", 0.3), ("spread", 0.3), ("recoil", 1.0)],
     [("yield", 0.3), ("spread", 0.3), ("recoil", 0.5)],
@@ -97,12 +77,16 @@ pub(crate) fn rests(effect: &str, parameter: &str) -> bool {
 }
 
 /// Values of a model with parameters of its loops set where a fit with another law begins: from one with corners a fit may not get to one without.
-fn begun_with(model: &Model, settings: &[(&str, f64)]) -> Vec<f64> {
+pub(super) fn begun_with(
+    model: &Model,
+    settings: impl Fn(Place) -> Vec<(&'static str, f64)>,
+) -> Vec<f64> {
     let mut values = model.fit.values.clone();
     for (t, term) in model.terms.iter().enumerate().filter(|(_, term)| term.name() == LOOP) {
         let parameters = term.effect.info().parameters;
-        for place in model.knob_range(t).step_by(parameters.len()) {
-            for (value, parameter) in values[place..].iter_mut().zip(parameters) {
+        for (at, &place) in model.knob_range(t).step_by(parameters.len()).zip(&term.places) {
+            let settings = settings(place);
+            for (value, parameter) in values[at..].iter_mut().zip(parameters) {
                 if let Some((_, start)) = settings.iter().find(|(name, _)| *name == parameter.name)
                 {
                     *value = *start;
@@ -208,40 +192,17 @@ impl Search<'_> {
         let effort = Effort { iterations: ITERATIONS, hopeless, worth, ..self.effort() };
         let mut freed = self.fit_model(terms.clone(), start.concat(), effort)?;
         if freed.fit.cost > STUCK * bound.fit.cost {
+            let begun = |way: [(&'static str, f64); 3]| begun_with(bound, |_| way.to_vec());
             let [dahl, wen] =
-                GIVEN_WAY.map(|way| self.fit_model(terms.clone(), begun_with(bound, &way), effort));
+                GIVEN_WAY.map(|way| self.fit_model(terms.clone(), begun(way), effort));
             let (dahl, wen) = (dahl?, wen?);
             freed = if wen.fit.cost < dahl.fit.cost { wen } else { dahl };
         }
         let left = freed.fit.cost - self.noise;
-        let is_done = accept::is_clean(self.scene, &freed.fit.stack) || left < CLOSED * self.gap;
-        if is_done || freed.terms.len() > 1 || self.is_spent() {
+        if accept::is_clean(self.scene, &freed.fit.stack) || left < CLOSED * self.gap {
             return Ok(freed);
         }
-        self.scene.work.apart(|| self.with_loop_beside(freed))
-    }
-
-    /// A loop of any law by itself, or the same with one of Bouc and Wen's law in place of a share of its elements, if that leaves less.
-    fn with_loop_beside(&self, freed: Model) -> Result<Model, Error> {
-        let left = freed.fit.cost - self.noise;
-        let terms = freed.terms.clone();
-        let effort = self.effort();
-        let line = self.noise + WITH_LOOP_BESIDE * left;
-        let begun = |(share, height_v): (f64, f64)| {
-            let of_share = [("strength", 1.0 - share), ("beside_v", height_v)];
-            let start = begun_with(&freed, &[&BESIDE[..], &of_share].concat());
-            self.fit_model(terms.clone(), start, Effort { iterations: 0, ..effort })
-        };
-        let mut starts = BESIDE_OF.into_iter().map(begun).collect::<Result<Vec<_>, _>>()?;
-        starts.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
-        let effort = Effort {
-            iterations: BESIDE_ITERATIONS,
-            hopeless: self.noise + ON_THE_WAY * left,
-            worth: f64::INFINITY,
-            ..effort
-        };
-        let beside = self.fit_model(terms, starts.swap_remove(0).fit.values, effort)?;
-        Ok(if beside.fit.cost < line { beside } else { freed })
+        self.with_loop_beside(freed)
     }
 
     /// The search gone on with a loop of any law right after two effects, where that accounts for all that two with a plain loop leave: what

@@ -8,7 +8,7 @@
 //! | where a fit starts that does not get there by itself | `resonance`, `alike`, `threshold`, `variety`, `further_mode`, `wander`, `pairs` |
 //! | what is not worth fitting to the end, and what is worth an effect more | `few`, `worth` |
 //! | other effects in the place of those chosen, fewer, none where they do nothing | `swap`, `trade`, `fewer`, `prune` |
-//! | loops of any law | `loops`, `laws` |
+//! | loops of any law | `loops`, `laws`, `loop_beside` |
 //! | what all axes have alike | `beside_alike`, `last_axis`, `hidden` |
 //! | the whole of it, checked on recordings held out | `found` |
 
@@ -25,6 +25,7 @@ pub(crate) mod hidden;
 mod joint;
 pub(crate) mod last_axis;
 mod laws;
+mod loop_beside;
 pub(crate) mod loops;
 mod pairs;
 mod prune;

@@ -18,16 +18,47 @@ use crate::fitting::knobs::EffectRef;
 use crate::fitting::model::Model;
 use crate::search::select::{CLOSED, Search, WORTH_OF_FIRST};
 
-/// Effect, the parameter that is zero in the plain variety, where the other one starts, by how much the effect's first size grows there, and
-/// the share of what the plain one leaves that the other one may leave.
-const VARIETIES: [(&str, &str, f64, f64, f64); 3] = [
-    ("amplifier-current-limit", "knee", 0.35, 1.25, 1.0),
-    ("creep", "level", 0.1, 1.0, 1.0),
-    ("friction", "corner", 0.7, 1.0, 0.8),
+/// A variety that a fit of the plain one does not get to.
+struct Variety {
+    effect: &'static str,
+    /// Zero in the plain variety.
+    parameter: &'static str,
+    /// Where the parameter starts.
+    start: f64,
+    /// By how much the effect's first size grows there.
+    growth: f64,
+    /// Share of what the plain variety leaves that this one may leave.
+    leaves: f64,
+    /// Share of the gap that the plain one may leave for this one to be granted beyond the search's allowance; none: it is a part of that.
+    granted_below: Option<f64>,
+}
+
+const VARIETIES: [Variety; 3] = [
+    Variety {
+        effect: "amplifier-current-limit",
+        parameter: "knee",
+        start: 0.35,
+        growth: 1.25,
+        leaves: 1.0,
+        granted_below: None,
+    },
+    Variety {
+        effect: "creep",
+        parameter: "level",
+        start: 0.1,
+        growth: 1.0,
+        leaves: 1.0,
+        granted_below: None,
+    },
+    Variety {
+        effect: "friction",
+        parameter: "corner",
+        start: 0.7,
+        growth: 1.0,
+        leaves: 0.8,
+        granted_below: Some(0.25),
+    },
 ];
-/// Those that are tried without being counted, where the plain one leaves this share of the gap at most: they were added to a search whose
-/// allowance was measured without them.
-const APART: ([&str; 1], f64) = (["friction"], 0.25);
 
 /// Effect with laws of several kinds: for each the parameters that are not at their zero, or the default of a shape, where a fit of it begins.
 const BEGINNINGS: [(&str, &[&[&str]]); 2] = [
@@ -98,14 +129,14 @@ impl Search<'_> {
         let last = model.terms.len() - 1;
         let info = model.terms[last].effect.info();
         let left = model.fit.cost - self.noise;
-        let variety = VARIETIES.iter().find(|(name, ..)| *name == info.name);
-        let Some(&(_, parameter, start, growth, share)) = variety else { return Ok(model) };
+        let variety = VARIETIES.iter().find(|variety| variety.effect == info.name);
+        let Some(variety) = variety else { return Ok(model) };
         // Where the plain one does nothing at all, there is nothing that a knee could round off.
         let does_nothing = model.terms.len() == 1 && left > (1.0 - WORTH_OF_FIRST) * self.gap;
         if left < CLOSED * self.gap || model.fit.cost > effort.hopeless || does_nothing {
             return Ok(model);
         }
-        let Some(index) = info.parameters.iter().position(|p| p.name == parameter) else {
+        let Some(index) = info.parameters.iter().position(|p| p.name == variety.parameter) else {
             return Ok(model);
         };
         let width = info.parameters.len();
@@ -113,21 +144,23 @@ impl Search<'_> {
         let mut values = model.fit.values.clone();
         for place in range.step_by(width) {
             if values[place + index] == info.parameters[index].zero {
-                values[place + index] = start;
-                values[place] *= growth;
+                values[place + index] = variety.start;
+                values[place] *= variety.growth;
             }
         }
         if values == model.fit.values {
             return Ok(model);
         }
-        let is_apart = APART.0.contains(&info.name);
-        if is_apart && (left > APART.1 * self.gap || self.is_spent()) {
-            return Ok(model);
-        }
-        let line = self.noise + share * left;
+        let line = self.noise + variety.leaves * left;
         let effort = Effort { hopeless: model.fit.cost, ..effort };
         let fit = || self.fit_model(model.terms.clone(), values, effort);
-        let other = if is_apart { self.scene.work.apart(fit) } else { fit() }?;
+        let other = match variety.granted_below {
+            None => fit()?,
+            Some(most) if left <= most * self.gap && self.scene.work.grants() => {
+                self.scene.work.grant(fit)?
+            }
+            Some(_) => return Ok(model),
+        };
         Ok(if other.fit.cost < line { other } else { model })
     }
 }

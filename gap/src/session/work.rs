@@ -16,6 +16,8 @@ const MOST_PASSES: u64 = 850;
 /// are 1200 passes, some 15 to 19 s on two cores of 2026 with what is left to do after it. The six slowest of the 120 sessions of the
 /// blind set 18181 come that far.
 const MOST_BEYOND: u64 = 300_000_000;
+/// Part of that, one in so many, which may be granted for other forms of what was found: no more is begun then.
+const GRANTED: u64 = 4;
 /// What a tick takes with an effect there, in tenths of one without, beyond it.
 const HEAVY: [(&str, u64); 12] = [
     ("friction", 25),
@@ -49,6 +51,8 @@ const IN_PARTS: [&str; 2] = ["inertia", "second-mass"];
 pub(crate) struct Work {
     /// Tenths of plain ticks of an axis.
     spent: AtomicU64,
+    /// How much of that was granted beyond the rest.
+    granted: AtomicU64,
     /// Samples of all recordings on all axes.
     session: u64,
     /// Whether something was left out because of it.
@@ -60,6 +64,7 @@ impl Work {
     pub(crate) fn new(samples: usize) -> Self {
         Self {
             spent: AtomicU64::new(0),
+            granted: AtomicU64::new(0),
             session: samples.max(1) as u64,
             ended: AtomicBool::new(false),
         }
@@ -84,16 +89,28 @@ impl Work {
         is_spent
     }
 
-    /// Do something that takes nothing from what the rest may spend: another form of an effect that was found says nothing against looking on.
-    pub(crate) fn apart<T>(&self, done: impl FnOnce() -> T) -> T {
+    /// Whether more can be granted.
+    pub(crate) fn grants(&self) -> bool {
+        !self.is_spent() && self.granted.load(Ordering::Relaxed) < self.plain() / GRANTED
+    }
+
+    /// Do something that is granted beyond the rest: another form of an effect that was found leaves as much for looking on. Nothing else may be
+    /// counted meanwhile.
+    pub(crate) fn grant<T>(&self, done: impl FnOnce() -> T) -> T {
         let before = self.spent.load(Ordering::Relaxed);
         let result = done();
-        self.spent.store(before, Ordering::Relaxed);
+        let took = self.spent.load(Ordering::Relaxed) - before;
+        self.granted.fetch_add(took, Ordering::Relaxed);
         result
     }
 
     /// What may be spent, in tenths of plain ticks of an axis.
     fn most(&self) -> u64 {
+        self.plain() + self.granted.load(Ordering::Relaxed)
+    }
+
+    /// The same without what was granted.
+    fn plain(&self) -> u64 {
         PLAIN * (MOST_PASSES * self.session + MOST_BEYOND)
     }
 

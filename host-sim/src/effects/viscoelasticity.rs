@@ -30,13 +30,11 @@ static INFO: Info = Info {
             0.0,
             "standard deviation of the logarithm of the relaxation times",
         ),
-        Parameter::size("further_share", "1", 0.0, (0.0, 100.0), 0.3, "stiffness of a further branch over that of the first"),
-        Parameter::shape("further_ratio", "1", (3.0e-3, 3.0e2), 30.0, "time in which it relaxes over that of the first").by_ratio(),
     ],
     threshold: false,
     physics: "A Maxwell branch (spring branch, damper branch * time_constant) and a damper beside the mechanism's spring: \
               polymer in the load path, glue. One exponential after each step, in proportion to force; one loss peak. \
-              A polymer's relaxation times spread: five branches have the first nine moments of the normal distribution of their logarithm, and another material in series has a further one. \
+              A polymer's relaxation times spread: five branches have the first nine moments of the normal distribution of their logarithm. \
               Propagated exactly.",
     source: "nylon platform of the second paper, relaxation of about 1 s (notes/physics.md, section 6)",
     revealed_by: "held steps, triangles from 0.1 to 20 Hz",
@@ -82,28 +80,19 @@ impl Effect for Viscoelasticity {
     }
 
     fn apply(&self, values: &[f64], place: Place, model: &mut Model, _step_s: f64) {
-        let [stiffness, damping, time_constant_s, relaxed_share, spread_decades, further_share, further_ratio] =
-            values[..7]
-        else {
-            return;
-        };
+        let [stiffness, damping, time_constant_s, relaxed_share, spread_decades] = values[..5] else { return };
         let axis = &mut model.axes[place.on()];
         let stack = axis.piezo.stiffness_n_per_m;
         let mechanism = &mut axis.mechanism;
         mechanism.damping_n_s_per_m += damping;
         if stiffness > 0.0 {
-            let all = stiffness * (1.0 + further_share);
             mechanism.stiffness_n_per_m =
-                (mechanism.stiffness_n_per_m - relaxed_share * all).max(-0.99 * stack);
-            let mut branch = |share: f64, time_constant_s: f64| {
-                let stiffness = share * stiffness;
-                mechanism.linear.push(Box::new(MaxwellBranch { stiffness, time_constant_s }));
-            };
+                (mechanism.stiffness_n_per_m - relaxed_share * stiffness).max(-0.99 * stack);
             for &(share, deviations) in nodes(spread_decades) {
-                branch(share, time_constant_s * 10_f64.powf(deviations * spread_decades));
-            }
-            if further_share > 0.0 {
-                branch(further_share, time_constant_s * further_ratio);
+                mechanism.linear.push(Box::new(MaxwellBranch {
+                    stiffness: share * stiffness,
+                    time_constant_s: time_constant_s * 10_f64.powf(deviations * spread_decades),
+                }));
             }
         }
     }
