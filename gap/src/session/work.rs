@@ -204,4 +204,23 @@ mod tests {
             assert_eq!(work.ended_after(), Some(passes as u64 + 1));
         }
     }
+
+    #[test]
+    fn what_is_granted_leaves_the_rest_and_comes_to_an_end() {
+        let rig = Rig::named("handley").expect("library rig");
+        let work = Work::new(3000);
+        let pass = || work.count(&rig, 0b111, 1000, 1.0e-4);
+        let before = work.most() - work.spent.load(Ordering::Relaxed);
+        work.grant(|| (0..1000).for_each(|_| pass()));
+        assert_eq!(work.passes(), 1000, "it is counted");
+        assert_eq!(work.most() - work.spent.load(Ordering::Relaxed), before);
+        let mut granted = 1;
+        while work.grants() {
+            work.grant(|| (0..1000).for_each(|_| pass()));
+            granted += 1;
+        }
+        // A quarter of 850 passes and 3e8 ticks, in portions of a thousand passes of three axes.
+        assert_eq!(granted, 26);
+        assert!(!work.is_spent());
+    }
 }
