@@ -94,8 +94,15 @@ fn without_the_stranger_it_would_be_called_hardening() {
 fn what_fades_from_a_reading_has_not_crept() {
     let fading = [("fading", 0.03), ("time_constant_s", 0.3)];
     let diagnosis = diagnosed("gauge-high-pass", &fading, &[]);
-    let named: Vec<&str> = diagnosis.causes.iter().map(|c| c.effect.as_str()).collect();
-    assert_eq!((diagnosis.verdict, &named[..]), (Verdict::Unexplained, &[][..]));
+    assert_nothing_is_named(&diagnosis, "gauge-high-pass", "sensor");
+}
+
+#[test]
+fn without_the_stranger_it_would_not_be_called_a_loop() {
+    // Bouc and Wen's loop forgets as it goes, as such a gauge does: with that beside the elements a loop closed 0.93 of it.
+    let fading = [("fading", 0.03), ("time_constant_s", 0.3)];
+    let diagnosis = diagnosed("gauge-high-pass", &fading, &["gauge-high-pass"]);
+    assert!(diagnosis.causes.iter().all(|c| c.effect != "hysteresis-shape"), "{:?}", diagnosis.gap);
 }
 
 #[test]

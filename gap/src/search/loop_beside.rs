@@ -9,7 +9,7 @@ use host_sim::effects::Place;
 use crate::Error;
 use crate::fitting::fit::Effort;
 use crate::fitting::model::Model;
-use crate::search::loops::begun_with;
+use crate::search::loops::{HALF, begun_with};
 use crate::search::select::Search;
 
 /// Where a fit begins, but for the loop's size: nominal elements.
@@ -40,7 +40,7 @@ impl Search<'_> {
         let hysteresis = |place: Place| &self.nominal.axes[place.on()].piezo.hysteresis;
         let has_elements = |place: &Place| !hysteresis(*place).limit_v.is_empty();
         let is_alone = freed.terms.len() == 1 && freed.terms[0].places.iter().all(has_elements);
-        if !is_alone || !self.scene.work.grants() {
+        if !is_alone || !self.is_mostly_a_loop(&freed) || !self.scene.work.grants() {
             return Ok(freed);
         }
         let left = freed.fit.cost - self.noise;
@@ -67,5 +67,12 @@ impl Search<'_> {
             fit(starts.swap_remove(0).fit.values, effort)
         })?;
         Ok(if beside.fit.cost < line { beside } else { freed })
+    }
+
+    /// Whether a loop accounts for most of what there is on its axes: what fades from a reading is a loop to some extent, and the more of one the
+    /// more numbers it has.
+    fn is_mostly_a_loop(&self, freed: &Model) -> bool {
+        let axes = freed.terms[0].places.iter().fold(0, |axes, place| axes | 1 << place.on());
+        self.left_on(&freed.fit.stack, axes) < HALF * self.left_on(&self.base, axes)
     }
 }

@@ -32,6 +32,7 @@ static INFO: Info = Info {
     confused_with: &[
         "creep",
         "viscoelasticity",
+        "hysteresis-shape",
         "sensor-drift",
         "sensor-gain",
         "sensor-offset",
