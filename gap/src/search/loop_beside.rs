@@ -2,7 +2,7 @@
 //!
 //! Elements of any law close their minor loops or forget them, and nine numbers of them bend to what was recorded of a loop that does neither:
 //! they close 0.97 of what is fitted, and half of what is not. A fit gets to the other law from nominal elements only, of which the loop
-//! takes the place of a share. That is tried where a loop by itself leaves something.
+//! takes the place of a share. That is tried where a loop by itself accounts for most of its axes and leaves something.
 
 use host_sim::effects::Place;
 
