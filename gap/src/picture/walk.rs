@@ -44,7 +44,7 @@ pub(crate) fn walk(cause: &Cause, ends_s: f64) -> Option<LinePlot> {
                 known.or_else(|| cause.parameters.get(*name)).map(|p| p.value)
             };
             let sizes: Option<Vec<f64>> = kind.parameters.iter().map(size).collect();
-            let walk = Walk::new(&sizes?, ends_s);
+            let mut walk = Walk::new(&sizes?, ends_s);
             let time_s = |k: usize| ends_s * k as f64 / (POINTS - 1) as f64;
             let at = |k: usize| (time_s(k), kind.scale * walk.at(time_s(k)));
             Some(Series::line(format!("axis {axis}"), (0..POINTS).map(at).collect()))

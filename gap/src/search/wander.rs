@@ -125,9 +125,10 @@ impl Search<'_> {
         let goes_on = |here: &[f64]| {
             let sizes = parameters.iter().zip(here).filter(|(p, _)| WANDERS.contains(&p.name));
             let sizes: Vec<f64> = sizes.map(|(_, value)| *value).collect();
-            let walk = Walk::new(&sizes, self.ranges.ends_s);
+            let mut walk = Walk::new(&sizes, self.ranges.ends_s);
             let at = |k: usize| walk.at(self.ranges.ends_s * k as f64 / WANDERS.len() as f64);
-            let steps: Vec<f64> = (0..WANDERS.len()).map(|k| (at(k + 1) - at(k)).powi(2)).collect();
+            let places: Vec<f64> = (0..=WANDERS.len()).map(at).collect();
+            let steps: Vec<f64> = places.windows(2).map(|p| (p[1] - p[0]).powi(2)).collect();
             let jump = steps.windows(JUMP).map(|w| w.iter().sum::<f64>()).fold(0.0, f64::max);
             jump < MOST_IN_A_JUMP * steps.iter().sum::<f64>()
         };

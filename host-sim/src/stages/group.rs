@@ -191,14 +191,15 @@ impl Group {
         }
         let end_v = volts[ticks - 1];
         axis.set_leaping(true);
+        if ticks == 1 {
+            axis.follow(1, |_, _, _| end_v, |_, position_m, _| reached(start, position_m, end_v));
+            return;
+        }
         let (from_m, first) = (axis.position_m(), axis.metres_per_volt());
         let mut to_m = from_m;
         axis.follow(1, |_, _, _| end_v, |_, position_m, _| to_m = position_m);
-        let way = pace::Way {
-            volts: (before_v, end_v),
-            metres: (from_m, to_m),
-            slopes: (first, axis.metres_per_volt()),
-        };
+        let slopes = [first, axis.metres_per_volt()];
+        let way = pace::Way::new((before_v, from_m), (end_v, to_m), slopes);
         for (k, &v) in volts.iter().enumerate() {
             let position_m = if k + 1 == ticks { to_m } else { way.at(v, k + 1, ticks) };
             reached(start + k, position_m, v);

@@ -45,29 +45,52 @@ const LEAST_V: f64 = 1.0e-6;
 
 /// How an axis got from the start of a leap to its end.
 pub struct Way {
-    /// Amplifier output at either end, V.
-    pub volts: (f64, f64),
-    /// Displacement there, m.
-    pub metres: (f64, f64),
-    /// Slope of the branch there, m/V; 0 where it is not known.
-    pub slopes: (f64, f64),
+    from: (f64, f64),
+    to: (f64, f64),
+    bend: Bend,
+}
+
+/// How the displacement goes in between.
+enum Bend {
+    /// With time.
+    InTime,
+    /// With the voltage, so many metres a volt.
+    Straight(f64),
+    /// With the voltage at one slope until it has gone so far, V, at the other one from there, m/V.
+    Corner(f64, [f64; 2]),
 }
 
 impl Way {
+    /// Between two amplifier outputs, V, and the displacements there, m, where the branch has these slopes, m/V; 0 where they are not known.
+    #[inline]
+    pub fn new(from: (f64, f64), to: (f64, f64), [first, last]: [f64; 2]) -> Self {
+        let (whole_v, whole_m) = (to.0 - from.0, to.1 - from.1);
+        if whole_v.abs() < LEAST_V {
+            return Self { from, to, bend: Bend::InTime };
+        }
+        // first corner + last (whole - corner) = way
+        let corner_v = (whole_m - last * whole_v) / (first - last);
+        let is_between = corner_v.abs() < whole_v.abs() && corner_v * whole_v > 0.0;
+        let bend = if first > 0.0 && last > 0.0 && is_between {
+            Bend::Corner(corner_v, [first, last])
+        } else {
+            Bend::Straight(whole_m / whole_v)
+        };
+        Self { from, to, bend }
+    }
+
     /// Displacement at an output in between, `tick` of so many ticks on: with the voltage, and where that rests, with time. Where a loop closes
     /// in between, or an element begins to slip, the way has a corner.
+    #[inline]
     pub fn at(&self, v: f64, tick: usize, ticks: usize) -> f64 {
-        let ((v0, v1), (x0, x1), (s0, s1)) = (self.volts, self.metres, self.slopes);
-        let whole_v = v1 - v0;
-        if whole_v.abs() < LEAST_V {
-            return x0 + (x1 - x0) * tick as f64 / ticks as f64;
-        }
-        // x0 + s0 (corner - v0) + s1 (v1 - corner) = x1
-        let corner = ((x1 - x0) - s1 * whole_v) / ((s0 - s1) * whole_v);
-        if s0 > 0.0 && s1 > 0.0 && corner > 0.0 && corner < 1.0 {
-            if (v - v0) / whole_v < corner { x0 + s0 * (v - v0) } else { x1 - s1 * (v1 - v) }
-        } else {
-            x0 + (x1 - x0) * (v - v0) / whole_v
+        let gone_v = v - self.from.0;
+        match self.bend {
+            Bend::InTime => self.from.1 + (self.to.1 - self.from.1) * tick as f64 / ticks as f64,
+            Bend::Straight(slope) => self.from.1 + slope * gone_v,
+            Bend::Corner(corner_v, [first, _]) if gone_v.abs() < corner_v.abs() => {
+                self.from.1 + first * gone_v
+            }
+            Bend::Corner(_, [_, last]) => self.to.1 - last * (self.to.0 - v),
         }
     }
 }
