@@ -59,6 +59,15 @@ fn main() {
         spread.set("viscoelasticity", Place::Axis(0), parameter, value).expect("in its bounds");
     }
     rigs.push(("viscoelasticity spread_decades".to_owned(), spread));
+    // Elements that give way, a continuum of them: what loops come to in a diagnosis, and on a mechanism that swings.
+    let loops = [("yield", 0.3), ("spread", 0.5)];
+    let mut soft = nominal.clone();
+    for (parameter, value) in loops {
+        soft.set("hysteresis-shape", Place::Axis(0), parameter, value).expect("in its bounds");
+    }
+    rigs.push(("hysteresis-shape yield and spread".to_owned(), soft.clone()));
+    soft.set("inertia", Place::Axis(0), "added_kg", 0.1).expect("in its bounds");
+    rigs.push(("hysteresis-shape yield and spread, inertia".to_owned(), soft));
     // A series loss whose voltage goes with a power of the current.
     let mut power = nominal.clone();
     for (parameter, value) in [("resistance_ohm", 50.0), ("loss_exponent", 0.5)] {

@@ -285,7 +285,7 @@ mod tests {
         (blocks[40].re, blocks[40].im) = (-0.1, 0.1);
         let ends_s = 55.0;
         let ahead = ahead_turns(&blocks, ends_s);
-        let walk = Walk::new(&ahead.turns, ends_s);
+        let mut walk = Walk::new(&ahead.turns, ends_s);
         for s in [0.0, 14.0, 27.5, 41.0, 54.0] {
             let off = ahead.mean_hz * s + walk.at(s) + ahead.phase / TAU - turns(s);
             assert!(off.abs() < 0.02, "at {s} s: {off} turns");
