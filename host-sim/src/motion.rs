@@ -135,7 +135,7 @@ fn move_group(group: &mut Group, input: &Input, motion: &mut Motion) {
 }
 
 /// What the wanted sensors read of a motion; every axis that [`needed`] names has to be in it.
-pub fn read(rig: &Rig, input: &Input, motion: &Motion, wanted: Axes) -> Result<Output, SimError> {
+pub fn read(rig: &Rig, input: &Input, motion: Motion, wanted: Axes) -> Result<Output, SimError> {
     let n = rig.axes.len();
     let samples = input.drive_v[0].len();
     let step_s = 1.0 / input.sample_rate_hz;
@@ -148,38 +148,37 @@ pub fn read(rig: &Rig, input: &Input, motion: &Motion, wanted: Axes) -> Result<O
     let mut output = Output {
         position_m: vec![Vec::new(); n],
         monitor_v: vec![Vec::new(); n],
-        end: motion
-            .iter()
-            .map(|m| m.as_ref().map_or_else(Initial::default, |m| m.end.clone()))
-            .collect(),
+        end: vec![Initial::default(); n],
     };
-    let wanted_sensors = || (0..n).filter(|&sensor| wanted.contains(sensor));
     let displacement_m: Vec<&[f64]> = motion
         .iter()
         .map(|m| m.as_ref().map_or(&[][..], |m| m.displacement_m.as_slice()))
         .collect();
-    if wanted_sensors().all(|sensor| sensors.is_bare(sensor)) {
-        for sensor in wanted_sensors() {
-            output.position_m[sensor] = sensors.bare_readings(sensor, &displacement_m, samples);
-        }
-    } else {
+    let (bare, others): (Vec<usize>, Vec<usize>) =
+        (0..n).filter(|&sensor| wanted.contains(sensor)).partition(|&s| sensors.is_bare(s));
+    for sensor in bare {
+        output.position_m[sensor] = sensors.bare_readings(sensor, &displacement_m, samples);
+    }
+    if !others.is_empty() {
         let mut readings = vec![0.0; n];
-        for sensor in wanted_sensors() {
+        for &sensor in &others {
             output.position_m[sensor].reserve_exact(samples);
         }
         for sample in 0..samples {
             let time_s = input.start_s + sample as f64 * step_s;
             let displacement =
                 |axis: usize| displacement_m[axis].get(sample).copied().unwrap_or(0.0);
-            sensors.read(displacement, time_s, |sensor| wanted.contains(sensor), &mut readings);
-            for sensor in wanted_sensors() {
+            sensors.read(displacement, time_s, |sensor| others.contains(&sensor), &mut readings);
+            for &sensor in &others {
                 output.position_m[sensor].push(readings[sensor]);
             }
         }
     }
-    for axis in wanted_sensors() {
-        if let Some(motion) = &motion[axis] {
-            output.monitor_v[axis].clone_from(&motion.amplifier_v);
+    for (axis, moved) in motion.into_iter().enumerate() {
+        let Some(AxisMotion { amplifier_v, end, .. }) = moved else { continue };
+        output.end[axis] = end;
+        if wanted.contains(axis) {
+            output.monitor_v[axis] = Arc::unwrap_or_clone(amplifier_v);
         }
     }
     Ok(output)

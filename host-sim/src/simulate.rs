@@ -124,7 +124,10 @@ pub(crate) fn check(rig: &Rig, input: &Input) -> Result<(), SimError> {
         if channel.len() != samples {
             return fail(format!("expected {samples} samples a channel, found {}", channel.len()));
         }
-        if let Some(at) = channel.iter().position(|v| !v.is_finite()) {
+        // All of them without a way out of the loop, eight at a time: fits pass here for every simulation.
+        if !channel.iter().fold(true, |all, v| all & v.is_finite())
+            && let Some(at) = channel.iter().position(|v| !v.is_finite())
+        {
             return fail(format!("sample {at}: expected a voltage, found {}", channel[at]));
         }
     }
@@ -170,5 +173,5 @@ fn keep(channel: &mut Vec<f64>, ticks: &[u64]) {
 
 fn run(rig: &Rig, input: &Input, wanted: Axes) -> Result<Output, SimError> {
     let motion = move_axes(rig, input, needed(rig, wanted))?;
-    read(rig, input, &motion, wanted)
+    read(rig, input, motion, wanted)
 }

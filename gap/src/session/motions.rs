@@ -129,7 +129,7 @@ impl Scene {
                 }
                 known[axis] = motion;
             }
-            motion::read(rig, input, &known, axes)
+            motion::read(rig, input, known, axes)
         })
     }
 

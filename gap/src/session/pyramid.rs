@@ -53,10 +53,11 @@ impl Levels {
 /// Coefficients of `series`, level after level, and as many as there are samples.
 pub fn transform(series: &[f32], levels: &Levels) -> Vec<f32> {
     let mut out = vec![0.0; series.len()];
-    let mut current = series.to_vec();
+    let mut means: Vec<f32> = Vec::new();
     for level in 0..levels.count() - 1 {
+        let current = if level == 0 { series } else { &means };
         let detail = &mut out[levels.range(level)];
-        let mut means = Vec::with_capacity(current.len().div_ceil(BLOCK));
+        let mut next = Vec::with_capacity(current.len().div_ceil(BLOCK));
         let mut at = 0;
         for block in current.chunks(BLOCK) {
             if let [a, b, c, d] = *block {
@@ -66,18 +67,19 @@ pub fn transform(series: &[f32], levels: &Levels) -> Vec<f32> {
                 detail[at] = (a - b) * half;
                 detail[at + 1] = (c - d) * half;
                 detail[at + 2] = (s - t) * half;
-                means.push((s + t) * half);
+                next.push((s + t) * half);
                 at += 3;
             } else {
                 let (mean, details) = short_block(block);
                 detail[at..at + details.len()].copy_from_slice(&details);
-                means.push(mean);
+                next.push(mean);
                 at += details.len();
             }
         }
-        current = means;
+        means = next;
     }
-    out[levels.range(levels.count() - 1)].copy_from_slice(&current);
+    let last = if levels.count() == 1 { series } else { &means };
+    out[levels.range(levels.count() - 1)].copy_from_slice(last);
     out
 }
 

@@ -183,17 +183,16 @@ impl Scene {
         };
         let Some(measured) = measured else { return vec![0.0; channel.range.len()] };
         let per_sigma = 1.0 / channel.sigma;
-        channel
-            .range
-            .clone()
-            .map(|i| {
-                if track.present[i] {
-                    ((f64::from(measured[i]) - simulated[i] * scale) * per_sigma) as f32
-                } else {
-                    0.0
-                }
-            })
-            .collect()
+        let range = channel.range.clone();
+        let left = |(m, s): (&f32, &f64)| ((f64::from(*m) - s * scale) * per_sigma) as f32;
+        let (measured, simulated) = (&measured[range.clone()], &simulated[range.clone()]);
+        let mut row: Vec<f32> = measured.iter().zip(simulated).map(left).collect();
+        for (x, present) in row.iter_mut().zip(&track.present[range]) {
+            if !present {
+                *x = 0.0;
+            }
+        }
+        row
     }
 
     /// Whitened residuals of every rig, in parallel over rigs and recordings.
