@@ -124,7 +124,7 @@ pub(crate) fn check(rig: &Rig, input: &Input) -> Result<(), SimError> {
         if channel.len() != samples {
             return fail(format!("expected {samples} samples a channel, found {}", channel.len()));
         }
-        // All of them without a way out of the loop, eight at a time: fits pass here for every simulation.
+        // A loop that does not end early vectorises, and fits pass here for every simulation.
         if !channel.iter().fold(true, |all, v| all & v.is_finite())
             && let Some(at) = channel.iter().position(|v| !v.is_finite())
         {
