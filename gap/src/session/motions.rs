@@ -118,12 +118,12 @@ impl Scene {
         let Track { rate_hz, .. } = &self.tracks[track];
         self.work.count(rig, missing, self.tracks[track].len(), 1.0 / rate_hz);
         self.with_input(track, &[], |input| {
-            let moved: Vec<Motion> = together(rig, missing)
+            let mut moved: Vec<Motion> = together(rig, missing)
                 .into_par_iter()
                 .map(|axes| move_axes(rig, input, Axes::Only(axes)))
                 .collect::<Result<_, _>>()?;
             for (axis, key) in keys.into_iter().enumerate().filter(|(a, _)| missing >> a & 1 == 1) {
-                let motion = moved.iter().find_map(|moved| moved[axis].clone());
+                let motion = moved.iter_mut().find_map(|moved| moved[axis].take());
                 if let (true, Some(key), Some(motion)) = (keep, key, &motion) {
                     self.motions.keep((track, axis), key, motion.clone());
                 }
