@@ -53,17 +53,17 @@ impl Further {
         (-length_s / self.time_constant_s).exp()
     }
 
-    /// The first pole goes from `from_v` towards a target, of which `left` of the way is left in the end.
-    fn approach(&mut self, from_v: f64, target_v: f64, left: f64, length_s: f64) {
-        let decay = self.decay(length_s);
-        let forced = self.mix * (from_v - target_v) * (left - decay);
+    /// The first pole goes from `from_v` towards a target for a segment.
+    fn approach(&mut self, from_v: f64, target_v: f64, segment: Segment) {
+        let decay = segment.further_decay;
+        let forced = self.mix * (from_v - target_v) * (segment.decay - decay);
         self.state_v = target_v + forced + (self.state_v - target_v) * decay;
     }
 
-    /// The first pole goes straight from `from_v` to `to_v`.
-    fn ramp(&mut self, from_v: f64, to_v: f64, length_s: f64) {
+    /// The first pole goes straight from `from_v` to `to_v`, and this one keeps `decay` of where it was.
+    fn ramp(&mut self, from_v: f64, to_v: f64, length_s: f64, decay: f64) {
         let lag_v = (to_v - from_v) / length_s * self.time_constant_s;
-        self.state_v = to_v - lag_v + (self.state_v - from_v + lag_v) * self.decay(length_s);
+        self.state_v = to_v - lag_v + (self.state_v - from_v + lag_v) * decay;
     }
 }
 
@@ -71,13 +71,19 @@ impl Further {
 #[derive(Clone, Copy)]
 struct Segment {
     length_s: f64,
+    /// What is left of a gap behind the first pole, and behind the further one on its own.
     decay: f64,
+    further_decay: f64,
 }
 
 impl Segment {
-    fn new(length_s: f64, time_constant_s: f64) -> Self {
+    fn new(length_s: f64, time_constant_s: f64, further: Option<&Further>) -> Self {
         let decay = if time_constant_s > 0.0 { (-length_s / time_constant_s).exp() } else { 0.0 };
-        Self { length_s, decay: if length_s > 0.0 { decay } else { 1.0 } }
+        Self {
+            length_s,
+            decay: if length_s > 0.0 { decay } else { 1.0 },
+            further_decay: further.map_or(0.0, |further| further.decay(length_s)),
+        }
     }
 }
 
@@ -95,6 +101,7 @@ impl AmplifierSim {
         let tau = amplifier.time_constant_s;
         let lengths_s = [fraction * step_s, (1.0 - fraction) * step_s];
         let softness = amplifier.slew.as_ref().map_or(0.0, |slew| slew.knee());
+        let further = Further::new(tau, amplifier.further_s, step_s);
         Self {
             plain: amplifier.slew.is_none()
                 && amplifier.input.is_empty()
@@ -106,7 +113,7 @@ impl AmplifierSim {
             crosstalk: drive.crosstalk,
             pipeline: VecDeque::new(),
             whole_ticks,
-            segments: lengths_s.map(|length_s| Segment::new(length_s, tau)),
+            segments: lengths_s.map(|length_s| Segment::new(length_s, tau, further.as_ref())),
             knees: lengths_s.map(|length_s| Knee::new(softness, length_s / tau)),
             time_constant_s: tau,
             min_v: amplifier.min_v,
@@ -115,7 +122,7 @@ impl AmplifierSim {
             input: amplifier.input,
             output: amplifier.output,
             state_v: 0.0,
-            further: Further::new(tau, amplifier.further_s, step_s),
+            further,
         }
     }
 
@@ -219,7 +226,10 @@ impl AmplifierSim {
             let slope = if gap > 0.0 { up } else { down };
             if let Some(knee) = knee {
                 match knee.left(gap.abs() / (slope * self.time_constant_s)) {
-                    Some(left) => self.ramp(target_v - gap * left, segment.length_s),
+                    Some(left) => {
+                        let to_v = target_v - gap * left;
+                        self.ramp(to_v, segment.length_s, segment.further_decay);
+                    }
                     None => self.approach(target_v, segment),
                 }
                 return;
@@ -228,10 +238,17 @@ impl AmplifierSim {
             let knee = slope * self.time_constant_s;
             if gap.abs() > knee {
                 let ramp_s = ((gap.abs() - knee) / slope).min(segment.length_s);
-                self.ramp(self.state_v + gap.signum() * slope * ramp_s, ramp_s);
+                let further_decay = if ramp_s == segment.length_s {
+                    segment.further_decay
+                } else {
+                    self.further.as_ref().map_or(0.0, |further| further.decay(ramp_s))
+                };
+                let to_v = self.state_v + gap.signum() * slope * ramp_s;
+                self.ramp(to_v, ramp_s, further_decay);
                 let rest_s = segment.length_s - ramp_s;
                 if rest_s > 0.0 {
-                    self.approach(target_v, Segment::new(rest_s, self.time_constant_s));
+                    let further = self.further.as_ref();
+                    self.approach(target_v, Segment::new(rest_s, self.time_constant_s, further));
                 }
                 return;
             }
@@ -243,14 +260,14 @@ impl AmplifierSim {
         let from_v = self.state_v;
         let v = target_v + (from_v - target_v) * segment.decay;
         if let Some(further) = &mut self.further {
-            further.approach(from_v, target_v, segment.decay, segment.length_s);
+            further.approach(from_v, target_v, segment);
         }
         self.keep_within(v);
     }
 
-    fn ramp(&mut self, to_v: f64, length_s: f64) {
+    fn ramp(&mut self, to_v: f64, length_s: f64, further_decay: f64) {
         if let Some(further) = &mut self.further {
-            further.ramp(self.state_v, to_v, length_s);
+            further.ramp(self.state_v, to_v, length_s, further_decay);
         }
         self.keep_within(to_v);
     }
@@ -263,8 +280,13 @@ impl AmplifierSim {
     }
 }
 
+/// Below this an output is zero, V. An output that dies away would otherwise end among the subnormal numbers and stay there, which a
+/// processor multiplies a hundred times slower.
+const REST_V: f64 = 1.0e-30;
+
 #[inline]
 fn clamp(v: f64, min: f64, max: f64) -> f64 {
+    let v = if v.abs() < REST_V { 0.0 } else { v };
     let v = if v < max { v } else { max };
     if v > min { v } else { min }
 }

@@ -1,6 +1,6 @@
 //! One step of stack and mechanism: implicit in the mechanics (average acceleration) and in the charge together.
 
-use super::Moving;
+use super::{Moving, settled};
 use crate::world::{AxisWorld, Rate};
 
 /// What acts on a stage from outside: a force (N), and stiffness (N/m) and damping (N s/m) that hold for a step.
@@ -72,7 +72,8 @@ pub(super) fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside: &Outs
     let current = (state.output_v - state.driven_v) / dt
         * (constants.capacitance_f + transformer * transformer / stiffness);
     state.driven_v = state.output_v;
-    state.drive_rate += (current - state.drive_rate) * (dt / 1e-4).min(1.0);
+    state.drive_rate =
+        settled(state.drive_rate + (current - state.drive_rate) * (dt / 1e-4).min(1.0));
     let factor = match axis.rate {
         Rate::PerDecade(growth) => 1.0 + growth * (1.0 + state.drive_rate.abs() / 1e-4).log10(),
         Rate::Saturating(growth, rate) => 1.0 + growth * (state.drive_rate.abs() / rate).tanh(),
@@ -135,23 +136,25 @@ pub(super) fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside: &Outs
     }
     state.friction_n = rubbed(travel).0;
     if let Rate::Relaxing(..) = axis.rate {
-        state.relaxing_v = extra(q, last).0;
+        state.relaxing_v = settled(extra(q, last).0);
     }
+    let q = settled(q);
     axis.hysteresis.commit(q);
     // A rate over a tenth of a millisecond: dissipation does not follow the 32 kHz ringing.
-    state.charge_rate += ((q - last) / dt - state.charge_rate) * (dt / 1e-4).min(1.0);
-    state.voltage_z = (q - base) / taken;
-    state.position_m = xp + h * acceleration;
-    state.speed = vp + 0.5 * dt * acceleration;
-    state.acceleration = acceleration;
+    state.charge_rate =
+        settled(state.charge_rate + ((q - last) / dt - state.charge_rate) * (dt / 1e-4).min(1.0));
+    state.voltage_z = settled((q - base) / taken);
+    state.position_m = settled(xp + h * acceleration);
+    state.speed = settled(vp + 0.5 * dt * acceleration);
+    state.acceleration = settled(acceleration);
     for (deflection, share) in state.branches.iter_mut().zip(&state.branch_shares) {
-        *deflection += (state.position_m - *deflection) * share;
+        *deflection = settled(*deflection + (state.position_m - *deflection) * share);
     }
     for ((y, speed), mode) in state.modes.iter_mut().zip(&axis.modes) {
         let pull = mode.omega * mode.omega * (state.position_m - *y)
             + 2.0 * mode.zeta * mode.omega * (state.speed - *speed);
-        *speed += dt * pull;
-        *y += dt * *speed;
+        *speed = settled(*speed + dt * pull);
+        *y = settled(*y + dt * *speed);
     }
 }
 
