@@ -1,33 +1,51 @@
 //! What stands out in the spectra of a session: lines of a hum, and resonances.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use realfft::RealFftPlanner;
+use rayon::prelude::*;
+use realfft::{RealFftPlanner, RealToComplex};
 
 use crate::session::floor::Kind;
 use crate::session::scene::{Channel, Scene, Stack};
 
+/// Power spectra of rows of one length, with a Hann window.
+struct Periodogram {
+    fft: Arc<dyn RealToComplex<f64>>,
+    window: Vec<f64>,
+}
+
+impl Periodogram {
+    fn new(samples: usize) -> Self {
+        let turn = |i: usize| std::f64::consts::TAU * i as f64 / samples as f64;
+        Self {
+            fft: RealFftPlanner::<f64>::new().plan_fft_forward(samples),
+            window: (0..samples).map(|i| 0.5 - 0.5 * turn(i).cos()).collect(),
+        }
+    }
+
+    /// Frequency step in Hz and density of each bin.
+    fn of(&self, row: &[f32], rate_hz: f64) -> (f64, Vec<f64>) {
+        let n = row.len();
+        let mean = row.iter().map(|&x| f64::from(x)).sum::<f64>() / n as f64;
+        let mut input: Vec<f64> = row
+            .iter()
+            .zip(&self.window)
+            .map(|(&x, window)| (f64::from(x) - mean) * window)
+            .collect();
+        let mut output = self.fft.make_output_vec();
+        if self.fft.process(&mut input, &mut output).is_err() {
+            return (1.0, Vec::new());
+        }
+        // One-sided density; the Hann window keeps 3/8 of the power.
+        let scale = 2.0 / (rate_hz * n as f64 * 0.375);
+        (rate_hz / n as f64, output.iter().map(|c| c.norm_sqr() * scale).collect())
+    }
+}
+
 /// Power spectrum of a row with a Hann window: frequency step in Hz and density of each bin.
 pub fn spectrum(row: &[f32], rate_hz: f64) -> (f64, Vec<f64>) {
-    let n = row.len();
-    let mut planner = RealFftPlanner::<f64>::new();
-    let fft = planner.plan_fft_forward(n);
-    let mean = row.iter().map(|&x| f64::from(x)).sum::<f64>() / n as f64;
-    let mut input: Vec<f64> = row
-        .iter()
-        .enumerate()
-        .map(|(i, &x)| {
-            let window = 0.5 - 0.5 * (std::f64::consts::TAU * i as f64 / n as f64).cos();
-            (f64::from(x) - mean) * window
-        })
-        .collect();
-    let mut output = fft.make_output_vec();
-    if fft.process(&mut input, &mut output).is_err() {
-        return (1.0, Vec::new());
-    }
-    // One-sided density; the Hann window keeps 3/8 of the power.
-    let scale = 2.0 / (rate_hz * n as f64 * 0.375);
-    (rate_hz / n as f64, output.iter().map(|c| c.norm_sqr() * scale).collect())
+    Periodogram::new(row.len()).of(row, rate_hz)
 }
 
 /// Longest stretch of a recording that one spectrum is taken of where a resonance is looked for.
@@ -44,8 +62,9 @@ fn mean_spectrum(row: &[f32], rate_hz: f64) -> (f64, Vec<f64>) {
     padded.resize(padded.len().next_multiple_of(hop) + 3 * hop, 0.0);
     let mut sum: Vec<f64> = Vec::new();
     let mut step = 1.0;
+    let periodogram = Periodogram::new(4 * hop);
     for start in (0..=padded.len() - 4 * hop).step_by(hop) {
-        let (own, power) = spectrum(&padded[start..start + 4 * hop], rate_hz);
+        let (own, power) = periodogram.of(&padded[start..start + 4 * hop], rate_hz);
         step = own;
         sum.resize(power.len(), 0.0);
         sum.iter_mut().zip(&power).for_each(|(sum, power)| *sum += power);
@@ -70,12 +89,12 @@ pub(crate) fn has_harmonic(lines: &[f64], order: f64) -> bool {
 /// Lines that stand out of their neighbourhood, the strongest first, summed over recordings on a grid of half a hertz.
 pub(crate) fn lines(scene: &Scene, raw: &Stack, kind: Kind) -> Vec<f64> {
     let mut found: Vec<(f64, f64)> = Vec::new();
-    for (c, channel) in scene.channels.iter().enumerate() {
-        let Some(row) = raw[c].as_ref().filter(|r| channel.kind == kind && r.len() >= 512) else {
-            continue;
-        };
-        let rate = scene.tracks[channel.track].rate_hz;
-        let (step, power) = spectrum(row, rate);
+    let of_channel = |(channel, row): (&Channel, &Option<Vec<f32>>)| {
+        let row = row.as_ref().filter(|r| channel.kind == kind && r.len() >= 512)?;
+        Some(spectrum(row, scene.tracks[channel.track].rate_hz))
+    };
+    let spectra: Vec<_> = scene.channels.par_iter().zip(raw).map(of_channel).collect();
+    for (step, power) in spectra.into_iter().flatten() {
         let first = ((SLOWEST_HUM_HZ / step) as usize).max(4);
         for k in first..power.len().saturating_sub(40) {
             if power[k] < power[k - 1] || power[k] < power[k + 1] {
@@ -178,38 +197,36 @@ pub(crate) fn resonances(scene: &Scene, raw: &Stack, loop_hz: f64) -> Vec<Vec<f6
     // Frequency, power, and the rate of the recording.
     let mut rings: Vec<(f64, f64, f64)> = vec![(0.0, 0.0, 0.0); axes];
     let fastest = scene.tracks.iter().map(|track| track.rate_hz).fold(0.0, f64::max);
-    for (channel, row) in scene.channels.iter().zip(raw) {
-        let Some(row) = row.as_ref().filter(|r| channel.kind == Kind::Position && r.len() >= 512)
-        else {
-            continue;
-        };
+    // Of what was measured, of the model, and of what the model leaves. A slow recording shows the alias of what rings.
+    let of_channel = |(channel, row): (&Channel, &Option<Vec<f32>>)| {
+        let row = row.as_ref().filter(|r| channel.kind == Kind::Position && r.len() >= 512)?;
         let track = &scene.tracks[channel.track];
-        let Some(position) = &track.position_um[channel.axis] else { continue };
+        let position = track.position_um[channel.axis].as_ref()?;
         let measured: Vec<f32> =
             channel.range.clone().map(|i| position[i] / channel.sigma as f32).collect();
         let simulated: Vec<f32> = measured.iter().zip(row).map(|(m, r)| m - r).collect();
-        let (step, power) = mean_spectrum(&measured, track.rate_hz);
-        let (_, model) = mean_spectrum(&simulated, track.rate_hz);
-        let noise = 2.0 / track.rate_hz;
+        let of = |row: &[f32]| mean_spectrum(row, track.rate_hz);
+        let left = (track.rate_hz > 0.5 * fastest).then(|| of(row).1);
+        let ((step, power), (_, model)) = (of(&measured), of(&simulated));
+        Some((channel.axis, track.rate_hz, step, power, model, left))
+    };
+    let spectra: Vec<_> = scene.channels.par_iter().zip(raw).map(of_channel).collect();
+    for (axis, rate_hz, step, power, model, left) in spectra.into_iter().flatten() {
+        let noise = 2.0 / rate_hz;
         for (k, (&p, &m)) in power.iter().zip(&model).enumerate().skip(1) {
             let hz = k as f64 * step;
             if hz > SLOWEST_MODE_HZ && m > 3.0 * noise {
-                let cell = answers[channel.axis]
-                    .entry((hz.log2() * CELLS).round() as i64)
-                    .or_insert((0.0, 0.0));
+                let cell =
+                    answers[axis].entry((hz.log2() * CELLS).round() as i64).or_insert((0.0, 0.0));
                 cell.0 += (p / m).min(1.0e4).ln();
                 cell.1 += 1.0;
             }
         }
-        // A slow recording shows the alias of what rings.
-        if track.rate_hz > 0.5 * fastest {
-            let (_, left) = mean_spectrum(row, track.rate_hz);
-            let ring = &mut rings[channel.axis];
-            for (k, &p) in left.iter().enumerate() {
-                let hz = k as f64 * step;
-                if hz > SLOWEST_MODE_HZ && p > ring.1.max(RINGS * noise) {
-                    *ring = (hz, p, track.rate_hz);
-                }
+        let ring = &mut rings[axis];
+        for (k, &p) in left.iter().flatten().enumerate() {
+            let hz = k as f64 * step;
+            if hz > SLOWEST_MODE_HZ && p > ring.1.max(RINGS * noise) {
+                *ring = (hz, p, rate_hz);
             }
         }
     }
