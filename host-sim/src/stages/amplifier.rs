@@ -280,9 +280,9 @@ impl AmplifierSim {
     }
 }
 
-/// Below this an output is zero, V. An output that dies away would otherwise end among the subnormal numbers and stay there, which a
-/// processor multiplies a hundred times slower.
-const REST_V: f64 = 1.0e-30;
+/// Below this an output is zero, V: far below anything that acts, and far enough above the subnormal numbers for what is made of it. An
+/// output that dies away would end among those and stay there, and a processor multiplies them a hundred times slower.
+const REST_V: f64 = 1.0e-250;
 
 #[inline]
 fn clamp(v: f64, min: f64, max: f64) -> f64 {
