@@ -197,7 +197,7 @@ pub(crate) fn resonances(scene: &Scene, raw: &Stack, loop_hz: f64) -> Vec<Vec<f6
     // Frequency, power, and the rate of the recording.
     let mut rings: Vec<(f64, f64, f64)> = vec![(0.0, 0.0, 0.0); axes];
     let fastest = scene.tracks.iter().map(|track| track.rate_hz).fold(0.0, f64::max);
-    // Of what was measured, of the model, and of what the model leaves. A slow recording shows the alias of what rings.
+    // Of what was measured, of the model, and of what the model leaves.
     let of_channel = |(channel, row): (&Channel, &Option<Vec<f32>>)| {
         let row = row.as_ref().filter(|r| channel.kind == Kind::Position && r.len() >= 512)?;
         let track = &scene.tracks[channel.track];
@@ -206,6 +206,7 @@ pub(crate) fn resonances(scene: &Scene, raw: &Stack, loop_hz: f64) -> Vec<Vec<f6
             channel.range.clone().map(|i| position[i] / channel.sigma as f32).collect();
         let simulated: Vec<f32> = measured.iter().zip(row).map(|(m, r)| m - r).collect();
         let of = |row: &[f32]| mean_spectrum(row, track.rate_hz);
+        // A slow recording shows the alias of what rings.
         let left = (track.rate_hz > 0.5 * fastest).then(|| of(row).1);
         let ((step, power), (_, model)) = (of(&measured), of(&simulated));
         Some((channel.axis, track.rate_hz, step, power, model, left))

@@ -60,10 +60,10 @@ impl Further {
         self.state_v = target_v + forced + (self.state_v - target_v) * decay;
     }
 
-    /// The first pole goes straight from `from_v` to `to_v`, and this one keeps `decay` of where it was.
-    fn ramp(&mut self, from_v: f64, to_v: f64, length_s: f64, decay: f64) {
+    /// The first pole goes straight from `from_v` to `to_v`.
+    fn ramp(&mut self, from_v: f64, to_v: f64, length_s: f64) {
         let lag_v = (to_v - from_v) / length_s * self.time_constant_s;
-        self.state_v = to_v - lag_v + (self.state_v - from_v + lag_v) * decay;
+        self.state_v = to_v - lag_v + (self.state_v - from_v + lag_v) * self.decay(length_s);
     }
 }
 
@@ -226,10 +226,7 @@ impl AmplifierSim {
             let slope = if gap > 0.0 { up } else { down };
             if let Some(knee) = knee {
                 match knee.left(gap.abs() / (slope * self.time_constant_s)) {
-                    Some(left) => {
-                        let to_v = target_v - gap * left;
-                        self.ramp(to_v, segment.length_s, segment.further_decay);
-                    }
+                    Some(left) => self.ramp(target_v - gap * left, segment.length_s),
                     None => self.approach(target_v, segment),
                 }
                 return;
@@ -238,13 +235,7 @@ impl AmplifierSim {
             let knee = slope * self.time_constant_s;
             if gap.abs() > knee {
                 let ramp_s = ((gap.abs() - knee) / slope).min(segment.length_s);
-                let further_decay = if ramp_s == segment.length_s {
-                    segment.further_decay
-                } else {
-                    self.further.as_ref().map_or(0.0, |further| further.decay(ramp_s))
-                };
-                let to_v = self.state_v + gap.signum() * slope * ramp_s;
-                self.ramp(to_v, ramp_s, further_decay);
+                self.ramp(self.state_v + gap.signum() * slope * ramp_s, ramp_s);
                 let rest_s = segment.length_s - ramp_s;
                 if rest_s > 0.0 {
                     let further = self.further.as_ref();
@@ -265,9 +256,9 @@ impl AmplifierSim {
         self.keep_within(v);
     }
 
-    fn ramp(&mut self, to_v: f64, length_s: f64, further_decay: f64) {
+    fn ramp(&mut self, to_v: f64, length_s: f64) {
         if let Some(further) = &mut self.further {
-            further.ramp(self.state_v, to_v, length_s, further_decay);
+            further.ramp(self.state_v, to_v, length_s);
         }
         self.keep_within(to_v);
     }
