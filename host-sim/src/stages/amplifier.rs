@@ -271,8 +271,40 @@ impl AmplifierSim {
     }
 }
 
+/// Below this an output is zero, V. An output that dies away would otherwise end among the subnormal numbers and stay there, which a
+/// processor multiplies a hundred times slower.
+const REST_V: f64 = 1.0e-30;
+
 #[inline]
 fn clamp(v: f64, min: f64, max: f64) -> f64 {
+    let v = if v.abs() < REST_V { 0.0 } else { v };
     let v = if v < max { v } else { max };
     if v > min { v } else { min }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::model::Model;
+    use super::*;
+    use crate::Place;
+    use crate::rig::Rig;
+
+    #[test]
+    fn an_output_that_dies_away_comes_to_zero() {
+        const STEP_S: f64 = 1.0e-4;
+        let load = Load { free_elastance: 1.0e5, tangents_v_per_c: [0.0; 2] };
+        // In one piece, and in parts with a further pole.
+        for further_pole in [0.0, 0.5] {
+            let mut rig = Rig::named("handley").unwrap();
+            let axis = Place::Axis(0);
+            rig.set("amplifier-bandwidth", axis, "further_pole", further_pole).unwrap();
+            let model = Model::new(&rig, STEP_S).axes.remove(0);
+            let mut amplifier = AmplifierSim::new(model.drive, model.amplifier, STEP_S);
+            amplifier.start(50.0, 50.0);
+            for tick in 1..=5_000 {
+                amplifier.advance(0.0, load, f64::from(tick) * STEP_S);
+            }
+            assert_eq!(amplifier.output_v(0.5), 0.0, "further pole {further_pole}");
+        }
+    }
 }
