@@ -222,6 +222,11 @@ impl<'a> Search<'a> {
                 }
                 let model = self.fewer(model)?;
                 let pruned = self.prune(model)?;
+                // What it is left with may be no less than what a plainer one leaves that was tried on the way.
+                let pruned = match self.plainest(pruned.clone()) {
+                    plain if plain.numbers() < pruned.numbers() => self.prune(plain)?,
+                    _ => pruned,
+                };
                 let (terms, start): (Vec<Term>, Vec<Vec<f64>>) =
                     start_terms(&pruned).into_iter().unzip();
                 let iterations = if self.is_spent() { 3 } else { 6 };

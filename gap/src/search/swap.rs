@@ -101,7 +101,7 @@ impl Search<'_> {
     }
 
     /// The model of fewest numbers among those that leave about as little as the best one, of as many effects.
-    fn plainest(&self, best: Model) -> Model {
+    pub(crate) fn plainest(&self, best: Model) -> Model {
         let left = (best.fit.cost - self.noise).max(0.0);
         let saved = (self.gap - left).max(0.0);
         let most = best.fit.cost + NOISE_MARGIN + AS_LITTLE * left.min(saved);

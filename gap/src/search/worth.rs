@@ -1,6 +1,6 @@
 //! When one more effect, or another one, is worth it.
 
-use crate::fitting::model::Model;
+use crate::fitting::model::{Model, Term};
 use crate::judge::accept;
 use crate::judge::ambiguity::NOISE_MARGIN;
 use crate::search::select::Search;
@@ -18,6 +18,9 @@ const CLOSES_AXIS: f64 = 0.9;
 const CLEARLY: f64 = 1.0;
 /// ... and this much cost in all, against noise.
 pub(crate) const WORTH_ABSOLUTE: f64 = 60.0;
+
+/// Numbers of a model, as a multiple of those of one that is far plainer.
+const FAR_PLAINER: f64 = 1.5;
 
 impl Search<'_> {
     /// The model of `size` effects that is worth it beyond what was worth it with fewer.
@@ -50,7 +53,7 @@ impl Search<'_> {
                 && saved > self.worth_of_plainer(smaller.fit.cost - self.noise))
             || (larger.numbers() < smaller.numbers()
                 && saved > NOISE_MARGIN - self.form_of(smaller)
-                && larger.splits(smaller))
+                && (larger.splits(smaller) || is_far_plainer(larger, smaller)))
     }
 
     /// Whether a model takes nearly everything off what a smaller one leaves on one axis, more than its noise. Beside a large effect on all
@@ -105,4 +108,13 @@ impl Search<'_> {
     pub(crate) fn worth_of_change(&self, leftover: f64) -> f64 {
         WORTH_ABSOLUTE.max(WORTH_OF_LEFTOVER * leftover).max(0.1 * WORTH_OF_GAP * self.gap)
     }
+}
+
+/// Whether a model has clearly fewer numbers than another, and laws that nature has no others for. One that leaves less as well is better in
+/// both: a lag beside a stiffness, each with one number an axis, comes before the relaxation that has four, and how near that comes to the two
+/// depends on where its fit stops.
+fn is_far_plainer(model: &Model, other: &Model) -> bool {
+    let has_one_law = |term: &Term| !accept::has_many_laws(term.name());
+    FAR_PLAINER * model.numbers() as f64 <= other.numbers() as f64
+        && model.terms.iter().all(has_one_law)
 }
