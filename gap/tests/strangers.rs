@@ -71,6 +71,13 @@ fn the_drag_of_a_fluid_is_no_hysteresis() {
 }
 
 #[test]
+fn a_gauge_that_tilts_is_no_crosstalk() {
+    // What goes with the product of two axes is crosstalk, and hardening beside it, to a catalogue that has neither products nor squares of others.
+    let diagnosis = common::drawn_physics(4101, 6, "tilt");
+    assert_nothing_is_named(&diagnosis, "gauge-tilt", "sensor");
+}
+
+#[test]
 fn a_coupling_capacitor_is_no_creep() {
     // It was, of a stack that creeps backwards.
     let diagnosis = common::drawn_physics(3001, 34, "high-pass");

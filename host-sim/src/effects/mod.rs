@@ -287,6 +287,7 @@ mod drive_bend;
 mod floor_hum;
 mod gauge_high_pass;
 mod gauge_play;
+mod gauge_tilt;
 mod gauge_warming;
 mod stage_drag;
 
@@ -297,6 +298,7 @@ static STRANGERS: &[&dyn Effect] = &[
     &gauge_warming::EFFECT,
     &gauge_play::EFFECT,
     &gauge_high_pass::EFFECT,
+    &gauge_tilt::EFFECT,
     &drive_bend::EFFECT,
 ];
 
