@@ -54,6 +54,8 @@ const ANOTHER_LAW: f64 = 0.8;
 const MUCH_LESS: f64 = 0.65;
 /// ... or this share with fewer effects, the loop on no more axes.
 const AS_LITTLE: f64 = 1.1;
+/// ... unless it has more than this many times the numbers, and nothing that it would take the place of bends as a loop does.
+const MANY_NUMBERS: usize = 2;
 /// ... or this one, with friction gone from them: a further effect must remove a third of what the loop alone leaves.
 const AS_FURTHER: f64 = 1.5;
 /// ... or this share of the gap.
@@ -310,7 +312,10 @@ impl Search<'_> {
         let left = |m: &Model| (m.fit.cost - self.noise).max(0.0);
         let has = |m: &Model, name| m.key().contains(&name);
         let suffices = plain.is_none_or(|plain| {
-            let share = if any.terms.len() >= plain.terms.len() || places(any) > places(plain) {
+            let is_plainer = any.numbers() > MANY_NUMBERS * plain.numbers()
+                && !plain.terms.iter().any(|term| term.name() == LOOP || bends(term));
+            let is_no_fewer = any.terms.len() >= plain.terms.len() || places(any) > places(plain);
+            let share = if is_no_fewer || is_plainer {
                 MUCH_LESS
             } else if has(plain, FRICTION) && !has(any, FRICTION) {
                 // Next to nothing is a matter of form.
