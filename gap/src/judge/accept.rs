@@ -102,6 +102,23 @@ pub fn counts(scene: &Scene, without: &Stack, with: &Stack, axes: u32) -> bool {
     sums.iter().any(|(saved, floor)| *saved > AXIS_EXCESS * floor)
 }
 
+/// Whether the positions of two simulations differ by as much energy as would count as a gap, on any axis or in any recording of one. Both as
+/// [`Scene::raw`] gives them.
+pub fn moves(scene: &Scene, from: &Stack, to: &Stack) -> bool {
+    let mut sums = vec![(0.0, 0.0); scene.position_noise.len()];
+    for (channel, rows) in scene.channels.iter().zip(from.iter().zip(to)) {
+        let (Kind::Position, (Some(from), Some(to))) = (channel.kind, rows) else { continue };
+        let squares = from.iter().zip(to).map(|(&a, &b)| f64::from(b - a).powi(2));
+        let (moved, floor) = (squares.sum::<f64>(), channel.raw_floor());
+        if moved > CHANNEL_EXCESS * floor {
+            return true;
+        }
+        let sum = &mut sums[channel.axis];
+        *sum = (sum.0 + moved, sum.1 + floor);
+    }
+    sums.iter().any(|(moved, floor)| *moved > AXIS_EXCESS * floor)
+}
+
 /// Bit mask of the axes where something may be missing: far looser than [`gaps`], since it only saves work. The noise is known to
 /// about half a per cent.
 pub fn loud_axes(scene: &Scene, stack: &Stack) -> u32 {

@@ -72,7 +72,8 @@ pub(crate) fn search(
     bar.set_message("fitting");
     let whole = search.run()?;
     let Some(model) = by_axis(&mut search, whole, effects, gaps)? else { return Ok(None) };
-    let (model, hidden) = search.also_on_last_axis(stands_elsewhere(&search, model)?)?;
+    let model = without_specks(&search, stands_elsewhere(&search, model)?)?;
+    let (model, hidden) = search.also_on_last_axis(model)?;
     let gap = search.gap.max(1.0);
     // The same effects on other axes, or from another start, are one entry: the best comes first.
     let mut tried: Vec<(String, f64)> = Vec::new();
@@ -124,6 +125,29 @@ fn stands_elsewhere(search: &Search, model: Model) -> Result<Model, Error> {
         model = search.fit_model(terms, start.concat(), search.effort())?;
     }
     Ok(model)
+}
+
+/// Take out effects that by themselves move nothing by what would count as a gap, in no recording: what they save is a matter of another one's
+/// form. A crosstalk that comes late is no slow amplifier.
+fn without_specks(search: &Search, model: Model) -> Result<Model, Error> {
+    if model.terms.len() < 2 {
+        return Ok(model);
+    }
+    let everything = |_: &Channel| true;
+    let from = search.scene.raw(search.nominal, everything)?;
+    let mut kept = Vec::new();
+    for (t, term) in start_terms(&model).into_iter().enumerate() {
+        let alone = model.with(search.nominal, |other| other == t)?;
+        let to = search.scene.raw(&alone, everything)?;
+        if accept::moves(search.scene, &from, &to) {
+            kept.push(term);
+        }
+    }
+    if kept.is_empty() || kept.len() == model.terms.len() {
+        return Ok(model);
+    }
+    let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = kept.into_iter().unzip();
+    search.fit_model(terms, start.concat(), search.effort())
 }
 
 /// The rig file gets the parameters of a fit to everything, started from the honest one.
