@@ -130,11 +130,12 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
              until then."
         ));
     }
-    let Judged { mut found, masked, was_found, .. } = judged;
+    let Judged { mut found, mut masked, was_found, .. } = judged;
     let Looked { scene, nominal, .. } = looked;
     if !was_found && rig.axes.len() > 1 && nominal.any_gap() {
         bar.set_message("looking at slow motion alone");
-        found = slow::cross_axis(&scene, rig, &effects, &ranges, &bar)?;
+        let asked = (&ranges, &options.exclude[..]);
+        (found, masked) = slow::cross_axis(&scene, rig, &effects, asked, &bar)?;
     }
 
     bar.set_message("writing the answer");

@@ -3,7 +3,7 @@
 //! A mechanism with resonances that nobody modelled hides what is plain below them: that an axis follows its neighbours.
 //! The fast bands are left out, step by step, until couplings between axes (with a delay or lag beside them) close what is left
 //! on held-out recordings. Only couplings are named this way: the neighbours' drives are independent evidence, which no unknown
-//! fault of an axis itself imitates.
+//! fault of an axis itself imitates. A gauge that tilts as the neighbours move does: strangers are asked for here as elsewhere.
 
 use host_sim::effects::Scope;
 use host_sim::rig::Rig;
@@ -14,6 +14,7 @@ use crate::diagnosis::Band;
 use crate::fitting::guess::Ranges;
 use crate::fitting::knobs::EffectRef;
 use crate::fitting::model::Term;
+use crate::judge::strangers::{self, Masked};
 use crate::judge::{accept, ambiguity, monitors};
 use crate::search::found::{Found, refit};
 use crate::search::screen::Gain;
@@ -30,14 +31,14 @@ const BESIDE: [&str; 4] =
 /// Share of the gap that some coupling has to promise, by a straight line, for a search.
 const LEAST_PROMISE: f64 = 0.02;
 
-/// Couplings that account for slow motion, or `None`.
+/// Couplings that account for slow motion, or what passed for them.
 pub(crate) fn cross_axis(
     scene: &Scene,
     rig: &Rig,
     effects: &[EffectRef],
-    ranges: &Ranges,
+    (ranges, exclude): (&Ranges, &[String]),
     bar: &ProgressBar,
-) -> Result<Option<Found>, Error> {
+) -> Result<(Option<Found>, Option<Masked>), Error> {
     let couples = |e: &EffectRef| e.info().scope != Scope::Axis;
     let few: Vec<EffectRef> =
         effects.iter().copied().filter(|e| couples(e) || BESIDE.contains(&e.info().name)).collect();
@@ -73,7 +74,7 @@ pub(crate) fn cross_axis(
         }
         let standings = ambiguity::standings(&search, &model);
         let whole = refit(&slow, rig, &model)?;
-        return Ok(Some(Found {
+        let mut found = Found {
             model,
             whole,
             standings,
@@ -81,9 +82,11 @@ pub(crate) fn cross_axis(
             missed: Vec::new(),
             band: Some(band),
             hidden: Vec::new(),
-        }));
+        };
+        let masked = strangers::unmask(&slow, rig, exclude, &mut found)?;
+        return Ok((masked.is_none().then_some(found), masked));
     }
-    Ok(None)
+    Ok((None, None))
 }
 
 /// Gap of held-out positions in the bands that are left.
