@@ -127,8 +127,8 @@ fn stands_elsewhere(search: &Search, model: Model) -> Result<Model, Error> {
     Ok(model)
 }
 
-/// Take out effects that by themselves move nothing by what would count as a gap, in no recording: what they save is a matter of another one's
-/// form. A crosstalk that comes late is no slow amplifier.
+/// Take out effects that by themselves move no position by what would count as a gap in any recording: what they save is a matter of another
+/// one's form. A crosstalk that comes late is no slow amplifier.
 fn without_specks(search: &Search, model: Model) -> Result<Model, Error> {
     if model.terms.len() < 2 {
         return Ok(model);

@@ -54,12 +54,13 @@ const ANOTHER_LAW: f64 = 0.8;
 const MUCH_LESS: f64 = 0.65;
 /// ... or this share with fewer effects, the loop on no more axes.
 const AS_LITTLE: f64 = 1.1;
-/// ... unless it has more than this many times the numbers, and nothing that it would take the place of bends as a loop does.
-const MANY_NUMBERS: usize = 2;
 /// ... or this one, with friction gone from them: a further effect must remove a third of what the loop alone leaves.
 const AS_FURTHER: f64 = 1.5;
 /// ... or this share of the gap.
 const NEXT_TO_NOTHING: f64 = 0.003;
+/// Multiple of the numbers of a model in which nothing bends as a loop does from which any loop has to leave much less to take its place, however few
+/// the effects.
+const MANY_NUMBERS: usize = 2;
 /// Share of what the model with a plain loop leaves that one of an effect more, any loop among them, may leave to be gone on from.
 const LESS: f64 = 0.8;
 /// Multiple of what a plain model leaves that a loop of any law may leave to be looked into.
@@ -312,10 +313,10 @@ impl Search<'_> {
         let left = |m: &Model| (m.fit.cost - self.noise).max(0.0);
         let has = |m: &Model, name| m.key().contains(&name);
         let suffices = plain.is_none_or(|plain| {
-            let is_plainer = any.numbers() > MANY_NUMBERS * plain.numbers()
+            let takes_many_numbers = any.numbers() > MANY_NUMBERS * plain.numbers()
                 && !plain.terms.iter().any(|term| term.name() == LOOP || bends(term));
             let is_no_fewer = any.terms.len() >= plain.terms.len() || places(any) > places(plain);
-            let share = if is_no_fewer || is_plainer {
+            let share = if is_no_fewer || takes_many_numbers {
                 MUCH_LESS
             } else if has(plain, FRICTION) && !has(any, FRICTION) {
                 // Next to nothing is a matter of form.
