@@ -62,6 +62,7 @@ fn session(rig: &Rig, adds: impl Fn(f64) -> f64) -> Session {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_gauge_that_drifts_as_chance_has_it_drifts_or_is_left_open() {
     let rig = Rig::named("handley").expect("built in");
     let mut named = Vec::new();

@@ -14,6 +14,7 @@ fn an_amplifier_with_a_second_pole_is_a_slow_amplifier() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_gauge_whose_line_ends_beyond_the_travel_is_bent() {
     let diagnosis = drawn_of_the_paper(2020, 1, &["sensor-nonlinearity"]);
     assert_explained(&diagnosis, &[("sensor-nonlinearity", &[1, 2, 3][..])]);
@@ -49,6 +50,7 @@ fn a_current_limit_far_below_one_fast_edge_is_found() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn creep_that_bends_with_the_logarithm_of_time_is_no_relaxation() {
     // A relaxation with a gauge that drifts would leave less than creep by the logarithm.
     let diagnosis = drawn(17171, 28, &["creep"]);
@@ -104,6 +106,7 @@ fn the_supply_of_a_railway_hums() {
 const HUMS: [&str; 2] = ["amplifier-hum", "sensor-hum"];
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_grid_whose_frequency_sways_hums() {
     // A plain hum accounts for half of it in one session and for less in the other, whose pauses of ten seconds are turns of the phase.
     let diagnosis = drawn_in_a_further_form(3501, 10, "sensor-hum", &HUMS);
@@ -117,6 +120,7 @@ fn a_grid_whose_frequency_sways_hums() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_drift_without_a_period_is_checked_between_what_is_fitted() {
     // Recordings in a row are held out at first, in which it goes where it likes.
     let diagnosis = drawn_in_a_further_form(3301, 30, "sensor-drift", &FURTHER);
@@ -126,6 +130,7 @@ fn a_drift_without_a_period_is_checked_between_what_is_fitted() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_gauge_that_warms_up_is_no_wrong_gain() {
     let diagnosis = drawn_of_the_paper(2020, 67, &["unknown"]);
     assert_eq!((diagnosis.verdict, causes(&diagnosis)), (Verdict::Unexplained, vec![]));
@@ -227,6 +232,7 @@ fn what_noise_alone_ranks_is_ranked_by_what_the_cause_is_confused_with() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn what_integrators_differ_by_does_not_tell_a_stiffness_from_what_relaxes() {
     // A branch that relaxes in a thousand seconds is a stiffness; the damper in it takes up what integrators differ by.
     let diagnosis = drawn(27272, 70, &["stiffness"]);

@@ -17,6 +17,7 @@ fn a_gap_of_one_recording_is_checked_on_a_part_of_it() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn an_axis_whose_gap_is_in_one_recording_held_out_is_looked_at_again() {
     // Another axis has the same limit, and shows it in a recording that is fitted.
     let diagnosis = drawn(12121, 69, &["amplifier-current-limit"]);

@@ -6,6 +6,7 @@ mod common;
 use common::{assert_explained, causes, drawn};
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_loop_of_bouc_and_wens_is_a_loop() {
     let diagnosis = drawn(1010, 113, &["hysteresis-shape"]);
     assert_eq!(causes(&diagnosis), [("hysteresis-shape", &[3][..])]);
@@ -35,6 +36,7 @@ fn a_loop_is_one_beside_what_other_axes_have() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_loop_of_another_law_is_one_beside_a_slow_gauge() {
     // Two effects with a plain loop leave what a third one would make up for, and friction does about as well as the gauge.
     let diagnosis = drawn(18181, 1, &["sensor-bandwidth", "hysteresis-shape"]);
@@ -43,6 +45,7 @@ fn a_loop_of_another_law_is_one_beside_a_slow_gauge() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_memory_that_small_cycles_wear_off_is_a_loop() {
     // Bouc and Wen's law slides back with every small cycle: a plain loop accounts for an eighth of that, and nothing else for more than a third.
     let diagnosis = drawn(28282, 27, &["hysteresis-shape"]);
@@ -51,6 +54,7 @@ fn a_memory_that_small_cycles_wear_off_is_a_loop() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_law_that_no_plain_loop_is_like_is_one_beside_a_drift() {
     // Bouc and Wen's with a beta of 0.65: Dahl's, beside hardening that takes up what it is off by, left a fiftieth.
     let diagnosis = drawn(31313, 87, &["sensor-drift", "hysteresis-shape"]);
@@ -58,6 +62,7 @@ fn a_law_that_no_plain_loop_is_like_is_one_beside_a_drift() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn an_axis_of_another_law_is_told_where_gains_account_for_the_others() {
     // With a beta of 0.51 the plain loop does an eighth of axis 2, where friction and it would fight, and gains nearly all of the others.
     let diagnosis = drawn(31313, 16, &["hysteresis-shape", "sensor-gain"]);
@@ -69,6 +74,7 @@ fn an_axis_of_another_law_is_told_where_gains_account_for_the_others() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_loop_and_friction_that_fight_are_a_loop_of_another_law() {
     // Each takes off sixteen times the gap of axis 1 and the other one puts it back.
     let diagnosis = drawn(23232, 32, &["hysteresis-shape", "stiffness-coupling"]);
@@ -77,6 +83,7 @@ fn a_loop_and_friction_that_fight_are_a_loop_of_another_law() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_stiffness_beside_a_large_loop_is_no_loop_on_the_other_axes() {
     // Nine numbers do on axes 1 and 2 what a stiffness does to a thirtieth of what either leaves.
     let diagnosis = drawn(32323, 8, &["stiffness", "hysteresis-shape"]);

@@ -5,6 +5,7 @@ mod common;
 use common::{assert_explained, drawn};
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_loop_that_widens_with_the_rate_needs_nothing_beside_it() {
     // The charge goes farthest where the current turns, which takes less than a tick.
     for (seed, case, axes) in [(10101, 19, &[2][..]), (11111, 0, &[2]), (10101, 110, &[1])] {
@@ -14,6 +15,7 @@ fn a_loop_that_widens_with_the_rate_needs_nothing_beside_it() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_loss_that_goes_with_a_root_of_the_current_is_found_on_every_axis() {
     // The screen likes a loss of strain better, from which no fit gets there.
     let diagnosis = drawn(11111, 106, &["hysteresis-rate"]);

@@ -68,6 +68,7 @@ fn a_mass_is_found_at_the_end_of_a_sweep() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn two_parts_that_swing_are_found_on_every_axis() {
     // 0.24 kg at 607 Hz, a quarter of that at 1700 Hz; without the second one no axis but the loudest comes out.
     let diagnosis = common::drawn(16161, 102, &["second-mass"]);
@@ -78,6 +79,7 @@ fn two_parts_that_swing_are_found_on_every_axis() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn an_axis_that_rings_at_the_end_of_one_sweep_alone_is_checked_there() {
     // Two thirds of that sweep, by time, show nothing of it.
     let diagnosis = common::drawn(16161, 98, &["inertia"]);
@@ -93,6 +95,7 @@ fn a_mass_that_rings_beyond_half_the_sample_rate_is_found_by_its_alias() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_part_that_swings_is_found_on_an_axis_that_hardly_shows_it() {
     // A fortieth of the other axis, and most of what a gain leaves on its own.
     let diagnosis = common::drawn(20202, 107, &["second-mass", "sensor-gain"]);

@@ -17,6 +17,9 @@ pub struct Args {
     /// Only the steps whose name contains this.
     #[arg(long)]
     only: Option<String>,
+    /// Diagnose the sessions as well that are left out to keep a usual run within three quarters of an hour: about half an hour more.
+    #[arg(long)]
+    long: bool,
 }
 
 /// How a step ended, other than with an error.
@@ -29,6 +32,9 @@ struct Step {
     name: &'static str,
     run: fn(&Shell) -> Result<Outcome>,
 }
+
+/// The tests that are ignored otherwise: further sessions of the kinds that the host tests have, each of which was once called something else.
+const LONG: Step = Step { name: "long sessions", run: long_sessions };
 
 const STEPS: &[Step] = &[
     Step { name: "format", run: format },
@@ -43,7 +49,7 @@ const STEPS: &[Step] = &[
 /// Run all steps, then print how each ended.
 ///
 /// # Errors
-/// When a step failed, or was skipped where `CI=true`.
+/// When a step failed, was skipped where `CI=true`, or none has the name that was asked for.
 pub fn run(args: &Args) -> Result<()> {
     let shell = Shell::new()?;
     shell.change_dir(crate::workspace());
@@ -52,7 +58,8 @@ pub fn run(args: &Args) -> Result<()> {
         |step: &&Step| args.only.as_ref().is_none_or(|only| step.name.contains(only.as_str()));
     let mut lines = Vec::new();
     let (mut passed, mut failed, mut skipped) = (0, 0, 0);
-    for step in STEPS.iter().filter(wanted) {
+    let long = args.long.then_some(&LONG);
+    for step in STEPS.iter().chain(long).filter(wanted) {
         println!("== {} ==", step.name);
         let start = Instant::now();
         let outcome = (step.run)(&shell);
@@ -77,6 +84,14 @@ pub fn run(args: &Args) -> Result<()> {
         lines.push(format!("{:<14} {:>7}  {how}", step.name, clock(start.elapsed())));
     }
     println!("\n{}\nsteps: {passed} passed, {failed} failed, {skipped} skipped", lines.join("\n"));
+    if !args.long && args.only.is_none() {
+        println!("left to `cargo xtask test --long`: the longest of the sessions to diagnose");
+    }
+    if lines.is_empty() {
+        let names: Vec<&str> = STEPS.iter().chain(long).map(|step| step.name).collect();
+        let only = args.only.as_deref().unwrap_or_default();
+        bail!("no step has `{only}` in its name; there are: {}", names.join(", "));
+    }
     if failed > 0 {
         bail!("{failed} of the steps failed");
     }
@@ -109,6 +124,11 @@ fn host_tests(shell: &Shell) -> Result<Outcome> {
         println!("{error:#}; tests that render a report say that they skip");
     }
     cmd!(shell, "cargo test --release --workspace --exclude emulator").run()?;
+    Ok(Outcome::Passed)
+}
+
+fn long_sessions(shell: &Shell) -> Result<Outcome> {
+    cmd!(shell, "cargo test --release --package gap --tests -- --ignored").run()?;
     Ok(Outcome::Passed)
 }
 

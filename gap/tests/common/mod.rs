@@ -98,23 +98,27 @@ pub fn drawn_in_a_further_form(seed: u64, index: u64, of: &str, among: &[&str]) 
         other_rigs: true,
         further_forms: true,
         weights: [0.0, 1.0, 0.0, 0.0],
-        only: among.iter().map(|name| (*name).to_string()).collect(),
+        only: owned(among),
         ..Draw::default()
     };
     diagnosed_case((seed, index), &draw, &[of], &[])
 }
 
 /// The same with a fault that is physics of a healthy rig; the note of the case begins with the fault's name.
-pub fn drawn_physics(seed: u64, index: u64, fault: &str) -> Diagnosis {
-    diagnosed(drawn_fault((seed, index), &Kind::PHYSICS, fault), &["unknown"], &[])
+pub fn drawn_physics(seed: u64, index: u64, fault: &str, exclude: &[&str]) -> Diagnosis {
+    let case = drawn_fault((seed, index), &Kind::PHYSICS, fault);
+    diagnosed(case, &["unknown"], &owned(exclude))
 }
 
 /// The same with electronics that nobody measured, on a rig whose amplifiers have no monitors: those would tell at once.
 pub fn drawn_electronics(seed: u64, index: u64, fault: &str, exclude: &[&str]) -> Diagnosis {
     let mut case = drawn_fault((seed, index), &Kind::ELECTRONICS, fault);
     case.drop_monitor();
-    let exclude: Vec<String> = exclude.iter().map(|name| (*name).to_string()).collect();
-    diagnosed(case, &["unknown"], &exclude)
+    diagnosed(case, &["unknown"], &owned(exclude))
+}
+
+fn owned(names: &[&str]) -> Vec<String> {
+    names.iter().map(|name| (*name).to_string()).collect()
 }
 
 fn drawn_fault(case: (u64, u64), faults: &'static [Kind], fault: &str) -> Case {
