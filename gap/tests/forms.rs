@@ -144,6 +144,7 @@ fn a_loop_of_another_law_is_no_friction() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_loop_of_another_law_is_seen_beside_what_is_as_loud() {
     let diagnosis = drawn(2222, 34, &["hysteresis-shape", "amplifier-clipping"]);
     // 188 and 195 nm: which one comes first is no matter.
@@ -154,6 +155,7 @@ fn a_loop_of_another_law_is_seen_beside_what_is_as_loud() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_loop_on_one_axis_does_not_take_in_a_gain_on_all() {
     let diagnosis = drawn(2222, 96, &["hysteresis-shape", "piezo-gain"]);
     assert_explained(&diagnosis, &[("piezo-gain", &[1, 2, 3][..]), ("hysteresis-shape", &[3][..])]);

@@ -147,7 +147,6 @@ fn an_axis_that_is_idle_while_others_lead_in_stays_rested() {
 /// A law of creep that is not the catalogue's, in a session in which it runs on from file to file: its recordings are promised and replayed
 /// one by one.
 #[test]
-#[ignore = "long: cargo xtask test --long"]
 fn a_replay_of_single_files_comes_near_to_the_session_in_order() {
     let diagnosis = common::drawn(12121, 103, &["creep"]);
     let in_order_nm = diagnosis.in_order_nm.expect("creep runs on here");

@@ -58,6 +58,7 @@ fn axes_have_causes_of_their_own() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_loop_of_another_law_needs_no_friction() {
     let diagnosis = drawn(2828, 77, &["hysteresis-shape"]);
     assert_explained(&diagnosis, &[("hysteresis-shape", &[2][..])]);
@@ -96,6 +97,7 @@ fn what_the_form_of_a_delay_leaves_is_no_gain() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn effects_are_swapped_about_the_plainest_pair() {
     // Loops of another width with a bent gauge leave least after two effects and a stiffness with shifted gauges is the plainest; what
     // the rig has was only tried in the place of one of the first pair.
