@@ -132,6 +132,7 @@ fn the_same_gain_of_two_gauges_is_no_trim_of_creep() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn an_offset_of_all_gauges_is_named_beside_a_preload_that_hides_it() {
     // The preload of axis 2 makes up for the whole offset there; with the one that the others have the recordings agree as well.
     let diagnosis = drawn(33333, 46, &["preload-loss", "sensor-offset"]);

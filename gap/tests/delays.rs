@@ -29,6 +29,7 @@ fn a_dead_time_of_many_ticks_is_found_beside_friction() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_lag_of_second_order_is_a_lag() {
     let diagnosis = drawn(1414, 50, &["sensor-bandwidth"]);
     assert_eq!(diagnosis.verdict, Verdict::Explained);

@@ -29,6 +29,7 @@ fn half_a_per_cent_of_gain_is_no_loop() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_loop_is_one_beside_what_other_axes_have() {
     let diagnosis = drawn(1616, 9, &["hysteresis-shape", "sensor-crosstalk"]);
     let named = [("hysteresis-shape", &[1][..]), ("sensor-crosstalk", &[2, 3])];

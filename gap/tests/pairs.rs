@@ -7,6 +7,7 @@ mod common;
 use common::{assert_explained, causes, drawn};
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn a_slow_gauge_is_found_beside_a_gain() {
     // The gauge is slower than the drive's amplifier, which 50 us of its lag say little about.
     let diagnosis = drawn(2626, 43, &["sensor-bandwidth", "drive-gain"]);
@@ -50,6 +51,7 @@ fn a_gain_on_one_axis_is_found_beside_another_gain_on_all() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn axes_have_causes_of_their_own() {
     let diagnosis = drawn(2222, 45, &["hysteresis-rate", "sensor-bandwidth"]);
     let found = causes(&diagnosis);
@@ -106,6 +108,7 @@ fn effects_are_swapped_about_the_plainest_pair() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn springs_and_crosstalk_are_fitted_between_every_pair_of_axes() {
     // Each alone takes in most of the other; a pair of axes that the crosstalk alone did not need is the one that tells them apart.
     let diagnosis = drawn(20202, 77, &["sensor-crosstalk", "stiffness-coupling"]);
@@ -129,6 +132,7 @@ fn a_limit_that_only_steps_reach_is_found_beside_a_gain() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn an_axis_has_a_cause_of_its_own_where_that_takes_fewer_numbers() {
     // A stiffness that grows has four numbers, and the third axis, of another gain, makes use of one of them.
     let diagnosis = drawn(21212, 15, &["stiffness-hardening", "sensor-gain"]);

@@ -118,6 +118,7 @@ fn a_light_mass_that_rings_just_beyond_half_the_rate_of_the_loop_is_found_by_its
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn two_parts_that_ring_as_loud_as_each_other_are_found() {
     // The first one alone accounts for less than half of the gap.
     let diagnosis = common::drawn(29292, 113, &["second-mass"]);

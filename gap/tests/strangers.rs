@@ -95,6 +95,7 @@ fn a_coupling_capacitor_is_no_creep() {
 }
 
 #[test]
+#[ignore = "long: cargo xtask test --long"]
 fn an_amplifier_whose_gain_changes_is_no_hardening() {
     let diagnosis = common::drawn_electronics(7101, 2, "drive-bend", &[]);
     assert_nothing_is_named(&diagnosis, "drive-bend", "drive");
