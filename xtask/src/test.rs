@@ -1,4 +1,4 @@
-//! `cargo xtask test`: everything that has to pass before a change lands.
+//! `cargo xtask test`: what has to pass before a change lands; with `--long` everything.
 //!
 //! Steps run in order and all of them run, so that one run shows all that is wrong. A step whose tools are missing on
 //! this machine is skipped with one line that says why, but not where `CI=true`.
