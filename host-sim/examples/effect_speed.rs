@@ -68,6 +68,12 @@ fn main() {
     rigs.push(("hysteresis-shape yield and spread".to_owned(), soft.clone()));
     soft.set("inertia", Place::Axis(0), "added_kg", 0.1).expect("in its bounds");
     rigs.push(("hysteresis-shape yield and spread, inertia".to_owned(), soft));
+    // A mass on one of two axes that a spring ties together: both go in the parts of a tick that it asks for.
+    let mut tied = nominal.clone();
+    let pair = Place::Pair { on: 0, from: 1 };
+    tied.set("stiffness-coupling", pair, "stiffness_n_per_m", 2.0e5).expect("in its bounds");
+    tied.set("inertia", Place::Axis(0), "added_kg", 0.1).expect("in its bounds");
+    rigs.push(("stiffness-coupling, inertia".to_owned(), tied));
     // A series loss whose voltage goes with a power of the current.
     let mut power = nominal.clone();
     for (parameter, value) in [("resistance_ohm", 50.0), ("loss_exponent", 0.5)] {

@@ -111,19 +111,20 @@ fn move_group(group: &mut Group, input: &Input, motion: &mut Motion) {
             },
         );
     } else {
-        for sample in 0..samples {
-            for (slot, axis) in group.axes().iter().enumerate() {
-                x[slot].push(axis.position_m());
-                v[slot].push(axis.output_v());
-            }
-            if sample + 1 < samples {
-                group.advance(
-                    |axis| input.drive_v[axis][sample],
-                    |axis| monitor(axis, sample + 1),
-                    time_s(sample),
-                );
-            }
+        let mut reached = |slot: usize, position_m, output_v| {
+            x[slot].push(position_m);
+            v[slot].push(output_v);
+        };
+        for (slot, axis) in group.axes().iter().enumerate() {
+            reached(slot, axis.position_m(), axis.output_v());
         }
+        group.follow_tied(
+            samples - 1,
+            |sample, axis| input.drive_v[axis][sample],
+            |sample, axis| monitor(axis, sample + 1),
+            time_s,
+            reached,
+        );
     }
     for ((slot, &member), (x, v)) in members.iter().enumerate().zip(x.into_iter().zip(v)) {
         motion[member] = Some(AxisMotion {

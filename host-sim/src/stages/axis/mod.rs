@@ -436,6 +436,12 @@ impl AxisSim {
         self.output_v = self.input_v;
     }
 
+    /// How far a newton at the end of the tick that has begun moves the axis there as its mechanism alone holds it, m/N.
+    #[inline]
+    pub fn metres_per_newton(&self) -> f64 {
+        self.beta
+    }
+
     /// How far a volt moves the axis at rest on the branch that it is on, m/V; 0 where forces have a say in it.
     #[inline]
     pub fn metres_per_volt(&self) -> f64 {

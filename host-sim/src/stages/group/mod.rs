@@ -1,11 +1,12 @@
 //! Axes that springs tie together, solved together; an axis on its own is a group of one.
 
-use std::ops::Range;
+mod alone;
+mod tied;
 
 use super::axis::AxisSim;
 use super::mechanism::substeps;
 use super::model::{AxisModel, CouplingSpring};
-use super::pace::{self, LEAP, Pace};
+use super::pace;
 use crate::rig::MAX_AXES;
 use crate::start::Initial;
 
@@ -56,10 +57,11 @@ impl Group {
         }
         let build = |(members, models): (Vec<usize>, Vec<AxisModel>)| {
             let substeps = models.iter().map(|axis| substeps(axis, step_s)).max().unwrap_or(1);
-            let is_alone = leaps && models.len() == 1;
+            let is_alone = models.len() == 1;
             let sim = |axis| {
-                let leap = if is_alone { pace::leap(&axis, substeps) } else { None };
-                AxisSim::new(axis, step_s, substeps, leap)
+                // Axes that are tied take whole ticks at most.
+                let leap = pace::leap(&axis, substeps).filter(|&most| is_alone || most == 1);
+                AxisSim::new(axis, step_s, substeps, leap.filter(|_| leaps))
             };
             let axes = models.into_iter().map(sim).collect();
             Group { members, axes, springs: Vec::new(), step_s, substeps }
@@ -116,137 +118,6 @@ impl Group {
     #[inline]
     pub fn is_alone(&self) -> bool {
         self.springs.is_empty() && self.axes.len() == 1
-    }
-
-    /// `advance` through many ticks at once, for a group that is one axis alone: `command(tick, axis)`,
-    /// `output(tick, axis)`, session time at the end of a tick; `reached(tick, position_m, output_v)` hears of that end.
-    #[inline]
-    pub fn follow(
-        &mut self,
-        ticks: usize,
-        command: impl Fn(usize, usize) -> f64,
-        output: impl Fn(usize, usize) -> Option<f64>,
-        time_s: impl Fn(usize) -> f64,
-        mut reached: impl FnMut(usize, f64, f64),
-    ) {
-        let Some(most) = self.axes[0].leap() else {
-            self.stretch(0..ticks, &command, &output, &time_s, &mut reached);
-            return;
-        };
-        let member = self.members[0];
-        let mut pace = Pace::new(&self.axes[0], self.substeps);
-        let mut done = 0;
-        while done < ticks {
-            let part = done..ticks.min(done + LEAP);
-            let axis = &self.axes[0];
-            let asked = |tick: usize| {
-                let target = || axis.amplifier.target_v(member, |other| command(tick, other));
-                output(tick, member).unwrap_or_else(target)
-            };
-            let is_calm = pace.is_calm(part.clone().map(asked)) && part.len() >= most;
-            done = part.end;
-            let mut heard = |tick, position_m, output_v| {
-                pace.saw(position_m, output_v);
-                reached(tick, position_m, output_v);
-            };
-            if is_calm {
-                for start in part.step_by(most) {
-                    self.leap(start, most, &command, &output, &time_s, &mut heard);
-                }
-            } else {
-                self.stretch(part, &command, &output, &time_s, &mut heard);
-            }
-        }
-        self.axes[0].set_leaping(false);
-    }
-
-    /// So many ticks from `start` on in one step, if the amplifier goes one way in them, and one by one otherwise.
-    #[inline]
-    fn leap(
-        &mut self,
-        start: usize,
-        ticks: usize,
-        command: &impl Fn(usize, usize) -> f64,
-        output: &impl Fn(usize, usize) -> Option<f64>,
-        time_s: &impl Fn(usize) -> f64,
-        reached: &mut impl FnMut(usize, f64, f64),
-    ) {
-        let (member, substeps) = (self.members[0], self.substeps);
-        let part_s = self.step_s / substeps as f64;
-        let axis = &mut self.axes[0];
-        let (before_v, load) = (axis.output_v(), axis.load());
-        let mut volts = [0.0; LEAP];
-        let volts = &mut volts[..ticks];
-        for (tick, v) in (start..).zip(volts.iter_mut()) {
-            *v = output(tick, member).unwrap_or_else(|| {
-                let target = axis.amplifier.target_v(member, |other| command(tick, other));
-                let sooner = |steps: usize| time_s(tick) - steps as f64 * part_s;
-                axis.amplifier.advance_by(substeps, target, load, sooner)
-            });
-        }
-        if !pace::is_one_way(before_v, volts) {
-            let known = |tick: usize, _: usize| Some(volts[tick - start]);
-            self.stretch(start..start + ticks, command, &known, time_s, reached);
-            return;
-        }
-        let end_v = volts[ticks - 1];
-        axis.set_leaping(true);
-        if ticks == 1 {
-            axis.follow(1, |_, _, _| end_v, |_, position_m, _| reached(start, position_m, end_v));
-            return;
-        }
-        let (from_m, first) = (axis.position_m(), axis.metres_per_volt());
-        let mut to_m = from_m;
-        axis.follow(1, |_, _, _| end_v, |_, position_m, _| to_m = position_m);
-        let slopes = [first, axis.metres_per_volt()];
-        let way = pace::Way::new((before_v, from_m), (end_v, to_m), slopes);
-        for (k, &v) in volts.iter().enumerate() {
-            let position_m = if k + 1 == ticks { to_m } else { way.at(v, k + 1, ticks) };
-            reached(start + k, position_m, v);
-        }
-    }
-
-    /// Some ticks of [`follow`](Self::follow), one by one.
-    #[inline]
-    fn stretch(
-        &mut self,
-        stretch: Range<usize>,
-        command: &impl Fn(usize, usize) -> f64,
-        output: &impl Fn(usize, usize) -> Option<f64>,
-        time_s: &impl Fn(usize) -> f64,
-        reached: &mut impl FnMut(usize, f64, f64),
-    ) {
-        self.axes[0].set_leaping(false);
-        let (member, substeps) = (self.members[0], self.substeps);
-        let part_s = self.step_s / substeps as f64;
-        // Sub-steps left after this one, and the tick that they belong to.
-        let (mut tick, mut left) = (stretch.start, substeps);
-        let mut ended = 0;
-        self.axes[0].follow(
-            stretch.len() * substeps,
-            |amplifier, before_v, load| {
-                left -= 1;
-                let voltage = match output(tick, member) {
-                    // A measured output is taken to go straight from tick to tick.
-                    Some(end_v) => before_v + (end_v - before_v) / (left + 1) as f64,
-                    None => {
-                        let target = amplifier.target_v(member, |axis| command(tick, axis));
-                        amplifier.advance(target, load, time_s(tick) - left as f64 * part_s)
-                    }
-                };
-                if left == 0 {
-                    left = substeps;
-                    tick += 1;
-                }
-                voltage
-            },
-            |substep, position_m, output_v| {
-                if substep + 1 == (ended + 1) * substeps {
-                    reached(stretch.start + ended, position_m, output_v);
-                    ended += 1;
-                }
-            },
-        );
     }
 
     /// Hold `command(axis)` to the next tick, at session time `time_s`; or go to `output(axis)` if that is known.
@@ -309,19 +180,27 @@ impl Group {
                 }
             }
         }
-        if let ([axis], true) = (&mut self.axes[..], self.springs.is_empty()) {
-            axis.solve(0.0);
-            axis.commit();
-            return;
-        }
+        self.settle();
+    }
+
+    /// Solve for the end of a tick that every axis has begun, and accept it.
+    #[inline]
+    fn settle(&mut self) {
+        // What each was last solved under.
+        let mut under_n = [None; MAX_AXES];
         for _ in 0..MAX_SWEEPS {
-            let mut moved: f64 = 0.0;
-            for index in 0..self.axes.len() {
+            let mut is_settled = true;
+            for (index, solved_n) in under_n.iter_mut().enumerate().take(self.axes.len()) {
                 let force = self.outside_n(index, AxisSim::next_position_m);
-                let before = self.axes[index].next_position_m();
-                moved = moved.max((self.axes[index].solve(force) - before).abs());
+                let axis = &mut self.axes[index];
+                let further_m = |before_n: f64| (force - before_n) * axis.metres_per_newton();
+                // One that its neighbours push no further stays where it is.
+                if solved_n.is_none_or(|before_n| further_m(before_n).abs() > TOLERANCE_M) {
+                    axis.solve(force);
+                    (*solved_n, is_settled) = (Some(force), false);
+                }
             }
-            if moved <= TOLERANCE_M {
+            if is_settled {
                 break;
             }
         }
