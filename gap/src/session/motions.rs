@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use host_sim::motion::{self, AxisMotion, Motion, Upstream, move_axes};
-use host_sim::rig::{Rig, Setting};
+use host_sim::rig::Rig;
 use host_sim::{Axes, Initial, Input, Output, SimError, Stretch, simulate};
 use rayon::prelude::*;
 
@@ -15,6 +15,7 @@ use crate::Error;
 use crate::session::intake::Track;
 use crate::session::lead_in;
 use crate::session::scene::Scene;
+use crate::session::work;
 
 /// Most samples that are kept, of displacement and amplifier output each: 256 MiB in all, or one point of a longer session.
 const MOST_SAMPLES: usize = 1 << 24;
@@ -118,7 +119,7 @@ impl Scene {
         let Track { rate_hz, .. } = &self.tracks[track];
         self.work.count(rig, missing, self.tracks[track].len(), 1.0 / rate_hz);
         self.with_input(track, &[], |input| {
-            let mut moved: Vec<Motion> = together(rig, missing)
+            let mut moved: Vec<Motion> = work::tied(rig, missing)
                 .into_par_iter()
                 .map(|axes| move_axes(rig, input, Axes::Only(axes)))
                 .collect::<Result<_, _>>()?;
@@ -179,17 +180,6 @@ impl Scene {
     }
 }
 
-/// Axes of a mask in parts that move by themselves, so that no core waits for the other at the end of a session: all of them where springs
-/// tie some together.
-fn together(rig: &Rig, axes: u32) -> Vec<u32> {
-    let ties = |s: &Setting| s.effect.info().name == "stiffness-coupling" && s.is_active();
-    let is_tied = rig.effects.iter().any(ties);
-    if is_tied && axes != 0 {
-        return vec![axes];
-    }
-    (0..rig.axes.len()).map(|axis| 1 << axis).filter(|axis| axes & axis != 0).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use host_sim::Place;
@@ -227,16 +217,6 @@ mod tests {
         assert!(!finds(&heavy));
         assert!(motions.get((0, 1), &key(&rig, 0), true).is_none());
         assert!(motions.get((1, 0), &key(&rig, 0), true).is_none());
-    }
-
-    #[test]
-    fn axes_that_springs_tie_move_together() {
-        let rig = Rig::named("handley").unwrap();
-        assert_eq!(together(&rig, 0b101), [0b001, 0b100]);
-        let pair = Place::Pair { on: 1, from: 2 };
-        let tied = changed("stiffness-coupling", pair, "stiffness_n_per_m", 1.0e5);
-        assert_eq!(together(&tied, 0b101), [0b101]);
-        assert!(together(&tied, 0).is_empty());
     }
 
     #[test]

@@ -45,6 +45,10 @@ const HEAVY_LAWS: [(&str, &str, u64); 4] = [
 const PLAIN: u64 = 10;
 /// Effects that take a tick in parts: all of them where something asks for every part of every tick, however calm.
 const IN_PARTS: [&str; 2] = ["inertia", "second-mass"];
+/// How many times what axes take that are tied together they take where one of them does so at times.
+const TIED_IN_PARTS: u64 = 2;
+/// What ties axes together.
+const TYING: &str = "stiffness-coupling";
 
 /// What was simulated, and how much there is.
 #[derive(Debug)]
@@ -127,23 +131,47 @@ impl Work {
 
 /// What a simulation of the axes in a mask takes over so many ticks of `step_s`, in tenths of plain ticks of an axis.
 pub(crate) fn price(rig: &Rig, axes: u32, ticks: usize, step_s: f64) -> u64 {
-    let on = (0..rig.axes.len()).filter(|on| axes >> on & 1 == 1);
-    on.map(|on| of_axis(rig, on, step_s)).sum::<u64>() * ticks as u64
+    let groups = tied(rig, axes).into_iter();
+    groups.map(|group| of_group(rig, group, step_s)).sum::<u64>() * ticks as u64
 }
 
-/// What a tick of an axis takes.
-fn of_axis(rig: &Rig, on: usize, step_s: f64) -> u64 {
-    let here = rig.effects.iter().filter(|s| s.place.on() == on && s.is_active());
-    let here: Vec<&Setting> = here.collect();
-    let is_in_parts = |s: &Setting| IN_PARTS.contains(&s.effect.info().name);
-    if here.iter().any(|s| is_in_parts(s)) {
-        let model = &Model::new(rig, step_s).axes[on];
-        if model.follows_every_tick() {
-            let others = here.iter().filter(|s| !is_in_parts(s));
-            return substeps(model, step_s) as u64 * (PLAIN + others.map(|s| more(s)).sum::<u64>());
+/// Axes of a mask in parts that move by themselves: each with all those that springs tie it to, in the mask or not.
+pub(crate) fn tied(rig: &Rig, axes: u32) -> Vec<u32> {
+    let ties = rig.effects.iter().filter(|s| s.effect.info().name == TYING && s.is_active());
+    let ties: Vec<u32> = ties.map(|s| 1 << s.place.on() | 1 << s.place.from()).collect();
+    let mut groups: Vec<u32> = Vec::new();
+    for axis in (0..rig.axes.len()).map(|axis| 1 << axis).filter(|axis| axes & axis != 0) {
+        let mut group = axis;
+        // As often as there are springs: each round goes one spring further.
+        for _ in &ties {
+            group = ties.iter().filter(|&&tie| tie & group != 0).fold(group, |all, tie| all | tie);
+        }
+        if !groups.contains(&group) {
+            groups.push(group);
         }
     }
-    PLAIN + here.iter().map(|s| more(s)).sum::<u64>()
+    groups
+}
+
+/// What a tick of axes that springs tie together takes, or of one alone.
+fn of_group(rig: &Rig, group: u32, step_s: f64) -> u64 {
+    let here = rig.effects.iter().filter(|s| group >> s.place.on() & 1 == 1 && s.is_active());
+    let here: Vec<&Setting> = here.collect();
+    let is_in_parts = |s: &Setting| IN_PARTS.contains(&s.effect.info().name);
+    let plain = PLAIN * u64::from(group.count_ones());
+    let whole = plain + here.iter().map(|s| more(s)).sum::<u64>();
+    if !here.iter().any(|s| is_in_parts(s)) {
+        return whole;
+    }
+    let model = Model::new(rig, step_s);
+    let members = || model.axes.iter().enumerate().filter(|(on, _)| group >> on & 1 == 1);
+    if members().any(|(_, axis)| axis.follows_every_tick()) {
+        let parts = members().map(|(_, axis)| substeps(axis, step_s)).max().unwrap_or(1);
+        let others = here.iter().filter(|s| !is_in_parts(s));
+        return parts as u64 * (plain + others.map(|s| more(s)).sum::<u64>());
+    }
+    // The others take the parts of a tick that the mass on one of them asks for.
+    if group.count_ones() > 1 { TIED_IN_PARTS * whole } else { whole }
 }
 
 /// What a tick takes with an effect, beyond one without.
@@ -187,6 +215,32 @@ mod tests {
         work.count(&rig, 0b100, 3000, 1.0e-4);
         assert_eq!(work.passes(), 1 + 3 + 52 + 3);
         assert!(!work.is_spent());
+    }
+
+    #[test]
+    fn axes_that_are_tied_are_counted_together() {
+        let mut rig = Rig::named("handley").expect("library rig");
+        assert_eq!(tied(&rig, 0b101), [0b001, 0b100]);
+        assert!(tied(&rig, 0).is_empty());
+        let pair = Place::Pair { on: 1, from: 2 };
+        rig.set(TYING, pair, "stiffness_n_per_m", 1.0e5).expect("known parameter");
+        assert_eq!(tied(&rig, 0b111), [0b001, 0b110]);
+        assert_eq!(tied(&rig, 0b100), [0b110]);
+        assert_eq!(price(&rig, 0b100, 1, 1.0e-4), 110);
+        // A mass on either of them is one for both.
+        for axis in [1, 2] {
+            let mut heavy = rig.clone();
+            heavy.set("inertia", Place::Axis(axis), "added_kg", 0.1).expect("known parameter");
+            assert_eq!(price(&heavy, 0b010, 1, 1.0e-4), 2 * 130, "{axis}");
+            // And where the other asks for every part of a tick: eight of them.
+            let rate = ("hysteresis-rate", Place::Axis(3 - axis), "strain_loss_v");
+            heavy.set(rate.0, rate.1, rate.2, 0.3).expect("known parameter");
+            assert_eq!(price(&heavy, 0b010, 1, 1.0e-4), 8 * (110 + 56), "{axis}");
+        }
+        // A second spring makes one group of them all.
+        let further = Place::Pair { on: 0, from: 1 };
+        rig.set(TYING, further, "stiffness_n_per_m", 1.0e5).expect("known parameter");
+        assert_eq!(tied(&rig, 0b100), [0b111]);
     }
 
     #[test]
