@@ -227,8 +227,8 @@ impl Search<'_> {
         let rig = self.offered(known, (effect, places), offers, 0)?;
         let axes = places.iter().fold(0, |m, &p| m | axes_seen(self.nominal, effect, p));
         let price = |tracks: &[usize], times: usize| -> u64 {
-            let tracks = tracks.iter().map(|&track| &self.scene.tracks[track]);
-            tracks.map(|t| work::price(&rig, axes, t.len() * times, 1.0 / t.rate_hz)).sum()
+            let tracks = tracks.iter().map(|&track| self.scene.tracks[track].ticks());
+            tracks.map(|ticks| work::price(&rig, axes, &ticks)).sum::<u64>() * times as u64
         };
         let is_ranked = many >= MANY_OFFERS && telling.first.len() < telling.all.len();
         let price = if is_ranked {

@@ -6,10 +6,12 @@
 use std::sync::Arc;
 
 use host_sim::rig::Rig;
+use host_sim::stages::pace::lively_share;
 use host_sim::{RATES_HZ, Stretch};
 use recording::{Entry, Recording, Session};
 
 use crate::Error;
+use crate::session::work::Ticks;
 
 /// Time after lost ticks in which nothing is scored, in seconds: five time constants of a slow amplifier.
 const RECOVERY_S: f64 = 5.0e-3;
@@ -31,6 +33,8 @@ pub struct Track {
     pub period_s: Option<f64>,
     /// Drive of every axis of the rig, volts, held from its tick to the next.
     pub drive_v: Vec<Vec<f64>>,
+    /// Share of the ticks in which that asks an axis for more than a calm one.
+    pub lively: Vec<f64>,
     /// Measured amplifier output of the axes that have it, volts.
     pub monitor_v: Vec<Option<Vec<f32>>>,
     /// Measured position of the axes that have it, micrometres.
@@ -58,6 +62,11 @@ impl Track {
     /// `true` for a track without samples.
     pub fn is_empty(&self) -> bool {
         self.present.is_empty()
+    }
+
+    /// What a simulation of it goes through.
+    pub(crate) fn ticks(&self) -> Ticks<'_> {
+        Ticks { many: self.len(), step_s: 1.0 / self.rate_hz, lively: &self.lively }
     }
 
     /// End on the session's clock, seconds.
@@ -185,15 +194,17 @@ fn track(rig: &Rig, entry: &Entry) -> Result<Track, Error> {
     };
     let pick = |columns: &[Option<Vec<f32>>], axis: usize| columns.get(axis).and_then(spread);
     let closed_loop = recording.reference_um.iter().any(Option::is_some);
+    let drive_v: Vec<Vec<f64>> = (0..axes)
+        .map(|axis| recording.drive_v.get(axis).map_or_else(|| vec![0.0; n], |c| held(c)))
+        .collect();
     Ok(Track {
         file: entry.file.clone(),
         experiment: recording.meta.experiment.clone(),
         rate_hz: recording.meta.sample_rate_hz,
         start_s: recording.meta.start_s,
         period_s: recording.meta.period_s,
-        drive_v: (0..axes)
-            .map(|axis| recording.drive_v.get(axis).map_or_else(|| vec![0.0; n], |c| held(c)))
-            .collect(),
+        lively: drive_v.iter().map(|volts| lively_share(volts)).collect(),
+        drive_v,
         monitor_v: (0..axes).map(|axis| pick(&recording.monitor_v, axis)).collect(),
         position_um: (0..axes).map(|axis| pick(&recording.position_um, axis)).collect(),
         settle,

@@ -116,8 +116,7 @@ impl Scene {
         let missing = (0..keys.len())
             .filter(|&axis| keys[axis].is_some() && known[axis].is_none())
             .fold(0, |mask, axis| mask | 1 << axis);
-        let Track { rate_hz, .. } = &self.tracks[track];
-        self.work.count(rig, missing, self.tracks[track].len(), 1.0 / rate_hz);
+        self.work.count(rig, missing, &self.tracks[track].ticks());
         self.with_input(track, &[], |input| {
             let mut moved: Vec<Motion> = work::tied(rig, missing)
                 .into_par_iter()

@@ -23,11 +23,11 @@ const HEAVY: [(&str, u64); 12] = [
     ("friction", 25),
     ("hysteresis-shape", 8),
     ("stage-drag", 45),
-    ("stiffness-coupling", 90),
+    (TYING, 60),
     ("stiffness-hardening", 12),
     ("preload-loss", 10),
-    ("second-mass", 40),
-    ("inertia", 20),
+    ("second-mass", 15),
+    ("inertia", 8),
     ("floor-hum", 10),
     ("sensor-hum", 8),
     ("amplifier-hum", 10),
@@ -41,14 +41,19 @@ const HEAVY_LAWS: [(&str, &str, u64); 4] = [
     ("hysteresis-rate", "resistance_ohm", 29),
     ("hysteresis-rate", "strain_loss_v", 56),
 ];
+/// The same in a lively tick alone: elements that give way do so there.
+const LIVELY_LAWS: [(&str, &str, u64); 2] =
+    [("hysteresis-shape", "yield", 40), ("hysteresis-shape", "spread", 90)];
 /// The same for one without.
 const PLAIN: u64 = 10;
-/// Effects that take a tick in parts: all of them where something asks for every part of every tick, however calm.
+/// Effects that take a lively tick in parts, and every one where something asks for all of them, however calm.
 const IN_PARTS: [&str; 2] = ["inertia", "second-mass"];
-/// How many times what axes take that are tied together they take where one of them does so at times.
-const TIED_IN_PARTS: u64 = 2;
-/// What ties axes together.
+/// What such a part takes of an axis without anything else.
+const PART: u64 = 4;
+/// What ties axes together: each takes the parts of a tick that the mass on any of them asks for,
 const TYING: &str = "stiffness-coupling";
+/// and then a spring takes so much more, in tenths of a plain tick: neighbours move less in a part of a tick than in a whole one.
+const TYING_A_PART: u64 = 15;
 
 /// What was simulated, and how much there is.
 #[derive(Debug)]
@@ -74,9 +79,9 @@ impl Work {
         }
     }
 
-    /// Count a simulation of the axes in a mask over so many ticks of `step_s`.
-    pub(crate) fn count(&self, rig: &Rig, axes: u32, ticks: usize, step_s: f64) {
-        self.spent.fetch_add(price(rig, axes, ticks, step_s), Ordering::Relaxed);
+    /// Count a simulation of the axes in a mask.
+    pub(crate) fn count(&self, rig: &Rig, axes: u32, ticks: &Ticks) {
+        self.spent.fetch_add(price(rig, axes, ticks), Ordering::Relaxed);
     }
 
     /// Whether a search may still spend so much, in tenths of plain ticks.
@@ -129,10 +134,21 @@ impl Work {
     }
 }
 
-/// What a simulation of the axes in a mask takes over so many ticks of `step_s`, in tenths of plain ticks of an axis.
-pub(crate) fn price(rig: &Rig, axes: u32, ticks: usize, step_s: f64) -> u64 {
+/// What a simulation goes through.
+pub(crate) struct Ticks<'a> {
+    /// How many there are,
+    pub(crate) many: usize,
+    /// how long each is, s,
+    pub(crate) step_s: f64,
+    /// and which share of them is lively, of every axis.
+    pub(crate) lively: &'a [f64],
+}
+
+/// What a simulation of the axes in a mask takes, in tenths of plain ticks of an axis.
+pub(crate) fn price(rig: &Rig, axes: u32, ticks: &Ticks) -> u64 {
     let groups = tied(rig, axes).into_iter();
-    groups.map(|group| of_group(rig, group, step_s)).sum::<u64>() * ticks as u64
+    let a_tick: f64 = groups.map(|group| of_group(rig, group, ticks)).sum();
+    (a_tick * ticks.many as f64) as u64
 }
 
 /// Axes of a mask in parts that move by themselves: each with all those that springs tie it to, in the mask or not.
@@ -153,37 +169,48 @@ pub(crate) fn tied(rig: &Rig, axes: u32) -> Vec<u32> {
     groups
 }
 
-/// What a tick of axes that springs tie together takes, or of one alone.
-fn of_group(rig: &Rig, group: u32, step_s: f64) -> u64 {
+/// What a tick of axes that springs tie together takes, or of one alone, calm and lively ones together.
+fn of_group(rig: &Rig, group: u32, ticks: &Ticks) -> f64 {
     let here = rig.effects.iter().filter(|s| group >> s.place.on() & 1 == 1 && s.is_active());
     let here: Vec<&Setting> = here.collect();
+    let members = || (0..rig.axes.len()).filter(|on| group >> on & 1 == 1);
+    let many = u64::from(group.count_ones());
+    let calm = PLAIN * many + here.iter().map(|s| more(s)).sum::<u64>();
+    let lively = calm + here.iter().map(|s| of_laws(&LIVELY_LAWS, s)).sum::<u64>();
+    let share = members().map(|on| ticks.lively[on]).fold(0.0, f64::max);
     let is_in_parts = |s: &Setting| IN_PARTS.contains(&s.effect.info().name);
-    let plain = PLAIN * u64::from(group.count_ones());
-    let whole = plain + here.iter().map(|s| more(s)).sum::<u64>();
     if !here.iter().any(|s| is_in_parts(s)) {
-        return whole;
+        return share * lively as f64 + (1.0 - share) * calm as f64;
     }
-    let model = Model::new(rig, step_s);
-    let members = || model.axes.iter().enumerate().filter(|(on, _)| group >> on & 1 == 1);
-    if members().any(|(_, axis)| axis.follows_every_tick()) {
-        let parts = members().map(|(_, axis)| substeps(axis, step_s)).max().unwrap_or(1);
-        let others = here.iter().filter(|s| !is_in_parts(s));
-        return parts as u64 * (plain + others.map(|s| more(s)).sum::<u64>());
-    }
-    // The others take the parts of a tick that the mass on one of them asks for.
-    if group.count_ones() > 1 { TIED_IN_PARTS * whole } else { whole }
+    let model = Model::new(rig, ticks.step_s);
+    let share = if members().any(|on| model.axes[on].follows_every_tick()) { 1.0 } else { share };
+    let parts = members().map(|on| substeps(&model.axes[on], ticks.step_s)).max().unwrap_or(1);
+    let of_part = |s: &Setting| match s.effect.info().name {
+        name if IN_PARTS.contains(&name) => 0,
+        TYING => TYING_A_PART,
+        _ => more(s) + of_laws(&LIVELY_LAWS, s),
+    };
+    let bare = if many > 1 { PLAIN * many } else { PART };
+    let in_parts = parts as u64 * (bare + here.iter().map(|s| of_part(s)).sum::<u64>());
+    share * in_parts.max(calm) as f64 + (1.0 - share) * calm as f64
 }
 
 /// What a tick takes with an effect, beyond one without.
 fn more(setting: &Setting) -> u64 {
+    let name = setting.effect.info().name;
+    let whole = HEAVY.iter().find(|(heavy, _)| *heavy == name).map_or(0, |(_, more)| *more);
+    whole + of_laws(&HEAVY_LAWS, setting)
+}
+
+/// What it takes by the laws that are there.
+fn of_laws(laws: &[(&str, &str, u64)], setting: &Setting) -> u64 {
     let info = setting.effect.info();
-    let whole = HEAVY.iter().find(|(name, _)| *name == info.name).map_or(0, |(_, more)| *more);
     let is_there = |parameter: &str| {
         let mut values = info.parameters.iter().zip(&setting.values);
         values.any(|(p, value)| p.name == parameter && *value != p.zero)
     };
-    let laws = HEAVY_LAWS.iter().filter(|(name, law, _)| *name == info.name && is_there(law));
-    whole + laws.map(|(_, _, more)| more).sum::<u64>()
+    let laws = laws.iter().filter(|(name, law, _)| *name == info.name && is_there(law));
+    laws.map(|(_, _, more)| more).sum()
 }
 
 #[cfg(test)]
@@ -191,30 +218,53 @@ mod tests {
     use super::*;
     use host_sim::effects::Place;
 
+    /// Ticks of 0.1 ms, lively in such shares.
+    fn ticks(many: usize, lively: &[f64]) -> Ticks<'_> {
+        Ticks { many, step_s: 1.0e-4, lively }
+    }
+
     #[test]
     fn what_is_simulated_is_counted_by_what_it_takes() {
         let mut rig = Rig::named("handley").expect("library rig");
         let work = Work::new(3000);
-        work.count(&rig, 0b111, 1000, 1.0e-4);
+        let half = [0.5; 3];
+        work.count(&rig, 0b111, &ticks(1000, &half));
         assert_eq!(work.passes(), 1);
         rig.set("friction", Place::Axis(1), "coulomb_n", 5.0).expect("known parameter");
         // Three and a half times the plain one on one of the axes, and nothing more on the other.
-        work.count(&rig, 0b011, 2000, 1.0e-4);
+        work.count(&rig, 0b011, &ticks(2000, &half));
         assert_eq!(work.passes(), 1 + 3);
-        rig.set("hysteresis-rate", Place::Axis(2), "strain_loss_v", 0.3).expect("known parameter");
+        // A mass: four tenths in each of eight parts of a lively tick, eight tenths more in a calm one.
         rig.set("inertia", Place::Axis(2), "added_kg", 0.1).expect("known parameter");
-        // Six times and a half the plain one in each of eight parts.
-        work.count(&rig, 0b100, 3000, 1.0e-4);
-        assert_eq!(work.passes(), 1 + 3 + 52);
+        for (share, a_tick) in [(0.0, 18), (1.0, 32), (0.5, 25)] {
+            let found = price(&rig, 0b100, &ticks(1000, &[0.0, 0.0, share]));
+            assert_eq!(found, 1000 * a_tick, "{share}");
+        }
+        rig.set("hysteresis-rate", Place::Axis(2), "strain_loss_v", 0.3).expect("known parameter");
+        // A loss of strain makes every tick one in parts, however calm.
+        work.count(&rig, 0b100, &ticks(3000, &[0.0; 3]));
+        assert_eq!(work.passes(), 1 + 3 + 48);
         let zeros = [("strain_loss_v", 0.0), ("per_decade", 0.1)];
         for (parameter, value) in zeros {
             rig.set("hysteresis-rate", Place::Axis(2), parameter, value).expect("known parameter");
         }
         rig.set("inertia", Place::Axis(2), "added_kg", 0.0).expect("known parameter");
         // 2.7 times.
-        work.count(&rig, 0b100, 3000, 1.0e-4);
-        assert_eq!(work.passes(), 1 + 3 + 52 + 3);
+        work.count(&rig, 0b100, &ticks(3000, &half));
+        assert_eq!(work.passes(), 1 + 3 + 48 + 2);
         assert!(!work.is_spent());
+    }
+
+    #[test]
+    fn elements_that_give_way_do_so_in_lively_ticks() {
+        let mut rig = Rig::named("handley").expect("library rig");
+        let place = Place::Axis(0);
+        rig.set("hysteresis-shape", place, "yield", 0.3).expect("known parameter");
+        let of = |rig: &Rig, share: f64| price(rig, 0b001, &ticks(100, &[share, 0.0, 0.0]));
+        assert_eq!([of(&rig, 0.0), of(&rig, 1.0)], [1800, 5800]);
+        rig.set("inertia", place, "added_kg", 0.1).expect("known parameter");
+        // In every one of eight parts.
+        assert_eq!([of(&rig, 0.0), of(&rig, 1.0)], [2600, 8 * 5200]);
     }
 
     #[test]
@@ -226,16 +276,18 @@ mod tests {
         rig.set(TYING, pair, "stiffness_n_per_m", 1.0e5).expect("known parameter");
         assert_eq!(tied(&rig, 0b111), [0b001, 0b110]);
         assert_eq!(tied(&rig, 0b100), [0b110]);
-        assert_eq!(price(&rig, 0b100, 1, 1.0e-4), 110);
+        let lively = [0.0, 0.0, 1.0];
+        assert_eq!(price(&rig, 0b100, &ticks(1, &lively)), 80);
         // A mass on either of them is one for both.
         for axis in [1, 2] {
             let mut heavy = rig.clone();
             heavy.set("inertia", Place::Axis(axis), "added_kg", 0.1).expect("known parameter");
-            assert_eq!(price(&heavy, 0b010, 1, 1.0e-4), 2 * 130, "{axis}");
-            // And where the other asks for every part of a tick: eight of them.
+            assert_eq!(price(&heavy, 0b010, &ticks(1, &lively)), 8 * 35, "{axis}");
+            assert_eq!(price(&heavy, 0b010, &ticks(1, &[0.0; 3])), 88, "{axis}");
+            // And where the other asks for every part of a tick.
             let rate = ("hysteresis-rate", Place::Axis(3 - axis), "strain_loss_v");
             heavy.set(rate.0, rate.1, rate.2, 0.3).expect("known parameter");
-            assert_eq!(price(&heavy, 0b010, 1, 1.0e-4), 8 * (110 + 56), "{axis}");
+            assert_eq!(price(&heavy, 0b010, &ticks(1, &[0.0; 3])), 8 * (35 + 56), "{axis}");
         }
         // A second spring makes one group of them all.
         let further = Place::Pair { on: 0, from: 1 };
@@ -248,10 +300,10 @@ mod tests {
         let rig = Rig::named("handley").expect("library rig");
         for (samples, passes) in [(100_000, 3850), (1_000_000, 1150), (3_000_000, 950)] {
             let work = Work::new(samples);
-            work.count(&rig, 0b001, passes * samples, 1.0e-4);
+            work.count(&rig, 0b001, &ticks(passes * samples, &[0.5; 3]));
             assert!(!work.is_spent(), "{samples}");
             assert_eq!(work.ended_after(), None);
-            work.count(&rig, 0b001, samples, 1.0e-4);
+            work.count(&rig, 0b001, &ticks(samples, &[0.5; 3]));
             // Nobody wanted more yet.
             assert_eq!(work.ended_after(), None);
             assert!(work.is_spent(), "{samples}");
@@ -263,7 +315,7 @@ mod tests {
     fn what_is_granted_leaves_the_rest_and_comes_to_an_end() {
         let rig = Rig::named("handley").expect("library rig");
         let work = Work::new(3000);
-        let pass = || work.count(&rig, 0b111, 1000, 1.0e-4);
+        let pass = || work.count(&rig, 0b111, &ticks(1000, &[0.5; 3]));
         let before = work.most() - work.spent.load(Ordering::Relaxed);
         work.grant(|| (0..1000).for_each(|_| pass()));
         assert_eq!(work.passes(), 1000, "it is counted");

@@ -13,6 +13,6 @@ pub mod hysteresis;
 mod knee;
 pub mod mechanism;
 pub mod model;
-mod pace;
+pub mod pace;
 pub mod sensor;
 pub(crate) mod speed;

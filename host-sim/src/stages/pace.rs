@@ -95,6 +95,23 @@ impl Way {
     }
 }
 
+/// Share of the ticks held at these commands, V, that an axis is expected to take one by one: by what is asked of it alone, so more where it
+/// rings on.
+pub fn lively_share(commands_v: &[f64]) -> f64 {
+    let mut calm_for = 0;
+    let mut lively = 0;
+    let mut last_v = commands_v.first().copied().unwrap_or(0.0);
+    for part in commands_v.chunks(LEAP) {
+        for &asked_v in part {
+            calm_for = if (asked_v - last_v).abs() <= CALM_V { calm_for + 1 } else { 0 };
+            last_v = asked_v;
+        }
+        // It has been calm before these as well.
+        lively += if calm_for >= PATIENCE + part.len() { 0 } else { part.len() };
+    }
+    lively as f64 / commands_v.len().max(1) as f64
+}
+
 /// Watches one axis.
 pub struct Pace {
     asked_v: f64,
@@ -136,5 +153,25 @@ impl Pace {
             (position_m - self.last_m).abs() <= CALM_M && (output_v - self.last_v).abs() <= CALM_V;
         self.calm_for = if is_calm { self.calm_for + 1 } else { 0 };
         (self.last_m, self.last_v) = (position_m, output_v);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_step_is_lively_for_a_moment_and_a_slow_ramp_never() {
+        let share = |v: &dyn Fn(usize) -> f64| {
+            let volts: Vec<f64> = (0..10_000).map(v).collect();
+            lively_share(&volts)
+        };
+        // The first sixteen ticks of a recording.
+        assert_eq!(share(&|_| 40.0), 0.0016);
+        assert_eq!(share(&|n| n as f64 * 0.01), 0.0016);
+        // A step, and the sixteen after the four that it is among.
+        assert_eq!(share(&|n| if n < 5000 { 0.0 } else { 20.0 }), 0.0036);
+        assert_eq!(share(&|n| (n as f64).sin()), 1.0);
+        assert_eq!(lively_share(&[]), 0.0);
     }
 }
