@@ -13,8 +13,8 @@ use host_sim::stages::model::Model;
 /// Passes over the session, every axis without effects, that a search may spend before it settles for the best that it has,
 const MOST_PASSES: u64 = 850;
 /// and samples of one axis beyond them: a few seconds of recording leave room for many effects. Of half a minute of three axes at 10 kHz these
-/// are 1200 passes, some 20 s on two fast cores of 2026 with what is left to do after it. 600 and 200 million give two sessions of
-/// `gap/tests/axes.rs` another answer, 720 and 250 million one.
+/// are 1200 passes, 20 to 50 s on two cores of 2026, by their speed and by what is simulated. With 600 and 200 million two sessions of
+/// `gap/tests/axes.rs` are answered otherwise (a small gain beside lags, friction beside a loop), with 720 and 250 million the second one.
 const MOST_BEYOND: u64 = 300_000_000;
 /// Part of that, one in so many, which may be granted for other forms of what was found: no more is begun then.
 const GRANTED: u64 = 4;
@@ -43,14 +43,15 @@ const HEAVY_LAWS: [(&str, &str, u64); 4] = [
     ("hysteresis-rate", "resistance_ohm", 29),
     ("hysteresis-rate", "strain_loss_v", 56),
 ];
-/// The same of a part of a tick alone: elements that give way do so where an axis moves, and in whole ticks most of a session is calm.
+/// The same of a part of a tick alone, by how much longer elements that give way take where an axis moves. A lively tick that is not taken in
+/// parts takes that much longer as well; counted there it cut short a search that finds more (`gap/tests/axes.rs`, friction beside a loop).
 const LAWS_IN_PARTS: [(&str, &str, u64); 2] =
     [("hysteresis-shape", "yield", 40), ("hysteresis-shape", "spread", 90)];
 /// The same for one without.
 const PLAIN: u64 = 10;
 /// Effects that take a lively tick in parts, and every one where something asks for all of them, however calm.
 const IN_PARTS: [&str; 2] = ["inertia", "second-mass"];
-/// What such a part takes of an axis without anything else.
+/// What such a part takes of an axis that nothing ties and that has nothing else; of one that is tied it takes [`PLAIN`].
 const PART: u64 = 4;
 /// What ties axes together: each takes the parts of a tick that the mass on any of them asks for,
 const TYING: &str = "stiffness-coupling";
@@ -258,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn elements_that_give_way_do_so_in_every_part_of_a_tick() {
+    fn elements_that_give_way_count_in_every_part_of_a_tick() {
         let mut rig = Rig::named("handley").expect("library rig");
         let place = Place::Axis(0);
         rig.set("hysteresis-shape", place, "yield", 0.3).expect("known parameter");

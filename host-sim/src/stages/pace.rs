@@ -95,8 +95,8 @@ impl Way {
     }
 }
 
-/// Share of the ticks held at these commands, V, that an axis is expected to take one by one: by what is asked of it alone, so more where it
-/// rings on.
+/// Share of the ticks held at these commands, V, that an axis is expected to take one by one: by what is asked of it alone. It is more where it
+/// rings on, where others talk into its drive, or where a volt moves it by more than 0.12 um.
 pub fn lively_share(commands_v: &[f64]) -> f64 {
     let mut calm_for = 0;
     let mut lively = 0;

@@ -27,7 +27,7 @@ pub struct Group {
 
 impl Group {
     /// Build the axes of a rig for ticks of `step_s`, in groups by the springs between them; `leaps`: their commands are known ahead, and
-    /// [`follow`](Self::follow) may take several calm ticks at once.
+    /// [`follow`](Self::follow) may take several calm ticks at once, [`follow_tied`](Self::follow_tied) a whole one.
     pub fn split(
         axes: Vec<AxisModel>,
         springs: &[CouplingSpring],
@@ -186,6 +186,13 @@ impl Group {
     /// Solve for the end of a tick that every axis has begun, and accept it.
     #[inline]
     fn settle(&mut self) {
+        self.sweep();
+        self.axes.iter_mut().for_each(AxisSim::commit);
+    }
+
+    /// Solve for the end of a tick that every axis has begun.
+    #[inline]
+    fn sweep(&mut self) {
         // What each was last solved under.
         let mut under_n = [None; MAX_AXES];
         for _ in 0..MAX_SWEEPS {
@@ -204,7 +211,6 @@ impl Group {
                 break;
             }
         }
-        self.axes.iter_mut().for_each(AxisSim::commit);
     }
 
     fn outside_n(&self, index: usize, position: impl Fn(&AxisSim) -> f64) -> f64 {
@@ -218,5 +224,46 @@ impl Group {
             }
         }
         force
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rig::Rig;
+    use crate::{Place, stages::model::Model};
+
+    #[test]
+    fn neighbours_agree_once_they_were_swept() {
+        for (stiffness, opens) in [(1.0e9, 0.0), (-1.0e9, 0.0), (1.0e9, 0.9)] {
+            let mut rig = Rig::named("handley").unwrap();
+            for (on, from) in [(0, 1), (1, 2)] {
+                // Held to what leaves the three of them stable.
+                let pair = Place::Pair { on, from };
+                rig.set("stiffness-coupling", pair, "stiffness_n_per_m", stiffness).unwrap();
+            }
+            rig.set("preload-loss", Place::Axis(1), "lost_share", opens).unwrap();
+            let model = Model::new(&rig, 1.0e-4);
+            let mut groups = Group::split(model.axes, &model.springs, 1.0e-4, false);
+            let [group] = &mut groups[..] else { panic!("one group of three") };
+            let rested = Initial::default();
+            group.start(|_| 0.0, |_| &rested, |_| None, 0.0);
+            let mut farthest_m: f64 = 0.0;
+            for tick in 1..400 {
+                for (slot, axis) in group.axes.iter_mut().enumerate() {
+                    axis.begin_at(40.0 + 35.0 * (0.02 * tick as f64 + slot as f64).sin());
+                }
+                group.sweep();
+                for slot in 0..3 {
+                    let force = group.outside_n(slot, AxisSim::next_position_m);
+                    let before_m = group.axes[slot].next_position_m();
+                    let off_m = (group.axes[slot].solve(force) - before_m).abs();
+                    assert!(off_m < 1.0e-13, "{stiffness} N/m, axis {slot}: {off_m} m");
+                    farthest_m = farthest_m.max(before_m.abs());
+                }
+                group.axes.iter_mut().for_each(AxisSim::commit);
+            }
+            assert!(farthest_m > 1.0e-6, "{farthest_m} m");
+        }
     }
 }

@@ -19,14 +19,22 @@ impl Group {
         mut reached: impl FnMut(usize, f64, f64),
     ) {
         let substeps = self.substeps;
-        // What an axis does in whole ticks it does in all of them where there are no parts.
-        let leaps = substeps > 1 && self.axes.iter().all(|axis| axis.leap() == Some(1));
+        // Without parts there is nothing to gain, and one that follows every tick keeps all of them to it.
+        if !self.axes.iter().all(|axis| axis.leap() == Some(1)) {
+            for tick in 0..ticks {
+                self.advance(|axis| command(tick, axis), |axis| output(tick, axis), time_s(tick));
+                for (slot, axis) in self.axes.iter().enumerate() {
+                    reached(slot, axis.position_m(), axis.output_v());
+                }
+            }
+            return;
+        }
         let mut paces: Vec<Pace> = self.axes.iter().map(|a| Pace::new(a, substeps)).collect();
         let mut done = 0;
         while done < ticks {
             let part = done..ticks.min(done + LEAP);
             done = part.end;
-            let mut is_calm = leaps;
+            let mut is_calm = true;
             for (slot, pace) in paces.iter_mut().enumerate() {
                 let (amplifier, member) = (&self.axes[slot].amplifier, self.members[slot]);
                 let asked = |tick: usize| {
