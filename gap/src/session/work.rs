@@ -13,8 +13,8 @@ use host_sim::stages::model::Model;
 /// Passes over the session, every axis without effects, that a search may spend before it settles for the best that it has,
 const MOST_PASSES: u64 = 850;
 /// and samples of one axis beyond them: a few seconds of recording leave room for many effects. Of half a minute of three axes at 10 kHz these
-/// are 1200 passes, 20 to 50 s on two cores of 2026, by their speed and by what is simulated. With 600 and 200 million two sessions of
-/// `gap/tests/axes.rs` are answered otherwise (a small gain beside lags, friction beside a loop), with 720 and 250 million the second one.
+/// are 1200 passes, 20 to 50 s on two cores of 2026, by their speed and by what is simulated. With 720 and 250 million a session of
+/// `gap/tests/axes.rs` is answered otherwise (friction beside a loop).
 const MOST_BEYOND: u64 = 300_000_000;
 /// Part of that, one in so many, which may be granted for other forms of what was found: no more is begun then.
 const GRANTED: u64 = 4;
