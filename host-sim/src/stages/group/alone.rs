@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use super::Group;
+use super::{Group, asked_v, end_v};
 use crate::stages::pace::{self, LEAP, Pace};
 
 impl Group {
@@ -27,10 +27,9 @@ impl Group {
         let mut done = 0;
         while done < ticks {
             let part = done..ticks.min(done + LEAP);
-            let axis = &self.axes[0];
+            let amplifier = &self.axes[0].amplifier;
             let asked = |tick: usize| {
-                let target = || axis.amplifier.target_v(member, |other| command(tick, other));
-                output(tick, member).unwrap_or_else(target)
+                asked_v(amplifier, member, |other| command(tick, other), output(tick, member))
             };
             let is_calm = pace.is_calm(part.clone().map(asked)) && part.len() >= most;
             done = part.end;
@@ -67,11 +66,16 @@ impl Group {
         let mut volts = [0.0; LEAP];
         let volts = &mut volts[..ticks];
         for (tick, v) in (start..).zip(volts.iter_mut()) {
-            *v = output(tick, member).unwrap_or_else(|| {
-                let target = axis.amplifier.target_v(member, |other| command(tick, other));
-                let sooner = |steps: usize| time_s(tick) - steps as f64 * part_s;
-                axis.amplifier.advance_by(substeps, target, load, sooner)
-            });
+            let asked = |other| command(tick, other);
+            let known = output(tick, member);
+            *v = end_v(
+                &mut axis.amplifier,
+                member,
+                load,
+                (asked, known),
+                (substeps, part_s),
+                time_s(tick),
+            );
         }
         if !pace::is_one_way(before_v, volts) {
             let known = |tick: usize, _: usize| Some(volts[tick - start]);

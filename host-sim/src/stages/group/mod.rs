@@ -3,7 +3,8 @@
 mod alone;
 mod tied;
 
-use super::axis::AxisSim;
+use super::amplifier::AmplifierSim;
+use super::axis::{AxisSim, Load};
 use super::mechanism::substeps;
 use super::model::{AxisModel, CouplingSpring};
 use super::pace;
@@ -225,6 +226,33 @@ impl Group {
         }
         force
     }
+}
+
+/// What the amplifier of an axis is asked for: its target under the commands of all, or what is known of its output, V.
+#[inline]
+fn asked_v(
+    amplifier: &AmplifierSim,
+    member: usize,
+    command: impl Fn(usize) -> f64,
+    known_v: Option<f64>,
+) -> f64 {
+    known_v.unwrap_or_else(|| amplifier.target_v(member, command))
+}
+
+/// Output at the end of a tick at `time_s`, V: the known one, or where the amplifier gets to in so many parts of so many seconds.
+#[inline]
+fn end_v(
+    amplifier: &mut AmplifierSim,
+    member: usize,
+    load: Load,
+    (command, known_v): (impl Fn(usize) -> f64, Option<f64>),
+    (parts, part_s): (usize, f64),
+    time_s: f64,
+) -> f64 {
+    known_v.unwrap_or_else(|| {
+        let target = amplifier.target_v(member, command);
+        amplifier.advance_by(parts, target, load, |left| time_s - left as f64 * part_s)
+    })
 }
 
 #[cfg(test)]

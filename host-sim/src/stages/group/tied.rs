@@ -3,7 +3,7 @@
 //! A mass on one of them asks for parts of a tick on all. Where every one is calm the group takes whole ticks, as an axis alone does (see
 //! [`crate::stages::pace`]); several ticks at once it does not: how far an axis has gone in between is no matter of its own voltage alone.
 
-use super::Group;
+use super::{Group, asked_v, end_v};
 use crate::rig::MAX_AXES;
 use crate::stages::pace::{self, LEAP, Pace};
 
@@ -38,8 +38,7 @@ impl Group {
             for (slot, pace) in paces.iter_mut().enumerate() {
                 let (amplifier, member) = (&self.axes[slot].amplifier, self.members[slot]);
                 let asked = |tick: usize| {
-                    let target = || amplifier.target_v(member, |other| command(tick, other));
-                    output(tick, member).unwrap_or_else(target)
+                    asked_v(amplifier, member, |other| command(tick, other), output(tick, member))
                 };
                 // Each has to hear what it is asked for, whatever the others are.
                 is_calm &= pace.is_calm(part.clone().map(asked));
@@ -74,11 +73,9 @@ impl Group {
         let mut is_calm = true;
         for (axis, &member) in self.axes.iter_mut().zip(&self.members) {
             let (before_v, load) = (axis.output_v(), axis.load());
-            volts[member] = output(member).unwrap_or_else(|| {
-                let target = axis.amplifier.target_v(member, command);
-                let sooner = |steps: usize| time_s - steps as f64 * part_s;
-                axis.amplifier.advance_by(substeps, target, load, sooner)
-            });
+            let amplifier = &mut axis.amplifier;
+            let asked = (command, output(member));
+            volts[member] = end_v(amplifier, member, load, asked, (substeps, part_s), time_s);
             is_calm &= pace::is_one_way(before_v, &[volts[member]]);
         }
         self.set_leaping(is_calm);
