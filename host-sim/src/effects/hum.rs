@@ -10,39 +10,69 @@ pub(super) struct Hum {
     parts: [(f64, f64); 3],
     rate_per_s: f64,
     ahead_turns: Walk,
-    near: Near,
+    turning: Turning,
 }
 
-/// Sine and cosine of an angle that has just been asked for.
+/// Sine and cosine of an angle that goes on in steps of about the same size, each turned from the one before. A diagnosis asks for them
+/// of every tick of many sessions.
 #[derive(Debug)]
-struct Near {
+struct Turning {
+    /// Angle that the sine and the cosine are of, rad.
     angle: f64,
     sin: f64,
     cos: f64,
+    /// Angle that was last asked for, rad: not farther from it than [`Self::FAR`].
+    asked: f64,
+    /// Size of a step, rad, with its sine and cosine.
+    step: f64,
+    step_sin: f64,
+    step_cos: f64,
+    /// Steps that may still be taken before rounding is done away with.
+    left: u32,
 }
 
-impl Near {
-    /// Farthest from it, rad, that series are used: the first terms left out come to 2e-14 there.
-    const FAR: f64 = 0.5;
+impl Turning {
+    /// Farthest that a step may end from where it was asked for, rad: of the line that goes there 5e-13 is left out.
+    const FAR: f64 = 1.0e-6;
+    /// Steps that are taken from one exact angle.
+    const STEPS: u32 = 64;
 
     /// Nowhere yet.
-    const NOWHERE: Self = Self { angle: f64::INFINITY, sin: 0.0, cos: 1.0 };
+    const NOWHERE: Self = Self {
+        angle: f64::INFINITY,
+        sin: 0.0,
+        cos: 1.0,
+        asked: f64::INFINITY,
+        step: 0.0,
+        step_sin: 0.0,
+        step_cos: 1.0,
+        left: 0,
+    };
 
-    /// Sine and cosine of an angle. A diagnosis asks for them of every tick of many sessions, and ticks are close to one another.
+    /// Sine and cosine of an angle.
     #[inline]
     fn sin_cos(&mut self, angle: f64) -> (f64, f64) {
-        let d = angle - self.angle;
-        let within = -Self::FAR..=Self::FAR;
-        if !within.contains(&d) {
-            let (sin, cos) = angle.sin_cos();
-            *self = Self { angle, sin, cos };
-            return (sin, cos);
+        let there = self.angle + self.step;
+        let beyond = angle - there;
+        let near = -Self::FAR..=Self::FAR;
+        let before = std::mem::replace(&mut self.asked, angle);
+        if self.left == 0 || !near.contains(&beyond) {
+            return self.begin_again(angle, angle - before);
         }
-        let q = d * d;
-        let even = |n: f64, rest: f64| 1.0 - q / (n * (n - 1.0)) * rest;
-        let sin = d * [11.0, 9.0, 7.0, 5.0, 3.0].into_iter().fold(1.0, |rest, n| even(n, rest));
-        let cos = [12.0, 10.0, 8.0, 6.0, 4.0, 2.0].into_iter().fold(1.0, |rest, n| even(n, rest));
-        (self.sin * cos + self.cos * sin, self.cos * cos - self.sin * sin)
+        let sin = self.sin * self.step_cos + self.cos * self.step_sin;
+        let cos = self.cos * self.step_cos - self.sin * self.step_sin;
+        (self.angle, self.sin, self.cos, self.left) = (there, sin, cos, self.left - 1);
+        (sin + beyond * cos, cos - beyond * sin)
+    }
+
+    /// Exactly, and from there in steps of a size.
+    fn begin_again(&mut self, angle: f64, step: f64) -> (f64, f64) {
+        let (sin, cos) = angle.sin_cos();
+        let step = if step.is_finite() { step } else { 0.0 };
+        let (step_sin, step_cos) = step.sin_cos();
+        let asked = angle;
+        *self = Self { angle, sin, cos, asked, step, step_sin, step_cos, left: Self::STEPS };
+        (sin, cos)
     }
 }
 
@@ -57,7 +87,7 @@ impl Hum {
         let parts = std::array::from_fn(|n| (values[2 * n], values[2 * n + 1]));
         let ahead_turns = Walk::new(&values[7..7 + WANDERS], values[7 + WANDERS]);
         let rate_per_s = std::f64::consts::TAU * values[6];
-        Self { parts, rate_per_s, ahead_turns, near: Near::NOWHERE }
+        Self { parts, rate_per_s, ahead_turns, turning: Turning::NOWHERE }
     }
 
     /// At a time of the session.
@@ -65,7 +95,7 @@ impl Hum {
         let ahead = std::f64::consts::TAU * self.ahead_turns.at(time_s);
         let angle = self.rate_per_s * time_s + ahead;
         // cos(n a + a) and sin(n a + a) from those of n a: one call for all of them.
-        let (sin, cos) = self.near.sin_cos(angle);
+        let (sin, cos) = self.turning.sin_cos(angle);
         let (mut c, mut s) = (cos, sin);
         let mut sum = 0.0;
         for (along, behind) in self.parts {
