@@ -94,6 +94,14 @@ fn calm_ticks_taken_at_once_come_to_where_single_ones_do() {
     creeping.set("friction", Place::Axis(1), "coulomb_n", 5.0).unwrap();
     creeping.set("friction", Place::Axis(1), "creeping_m_per_s", 5.0e-6).unwrap();
     rigs.push(("friction that falls".to_owned(), creeping));
+    // Friction sets a mass swinging that takes whole ticks.
+    for (coulomb_n, presliding_m) in [(15.0, 5.5e-8), (0.7, 1.0e-7), (0.25, 1.0e-7)] {
+        let mut rubs = nominal.clone();
+        rubs.set("inertia", Place::Axis(1), "added_kg", 0.12).unwrap();
+        rubs.set("friction", Place::Axis(1), "coulomb_n", coulomb_n).unwrap();
+        rubs.set("friction", Place::Axis(1), "presliding_m", presliding_m).unwrap();
+        rigs.push((format!("a mass that rubs with {coulomb_n} N"), rubs));
+    }
     let mut leaping = 0;
     for (name, rig) in &rigs {
         let (rms_nm, worst_nm) = off_nm(rig, 1, slow);

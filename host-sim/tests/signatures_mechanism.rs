@@ -53,27 +53,37 @@ fn viscoelasticity_is_one_exponential() {
     assert!(expected.contains(&found), "{found} {expected:?}");
 }
 
-/// What is left of a step's relaxation is the log-normal mean of exponentials.
+/// What is left of a step's relaxation is the mean of exponentials whose times spread over a range, alike in all decades of it or by a power.
 #[test]
 fn relaxation_times_spread_by_decades() {
-    const SPREAD: f64 = 0.4;
-    let branch = [("branch_n_per_m", 2e5), ("time_constant_s", 0.3), ("spread_decades", SPREAD)];
-    let rig = single("viscoelasticity", &branch);
-    let x = run(&rig, 1e3, 21.0, |t| if t < 1.0 { 0.0 } else { 60.0 }).position_m.remove(0);
-    let left = |after_s: f64| x[20_999] - x[((1.0 + after_s) * 1e3) as usize];
-    let mean = |after_s: f64| -> f64 {
-        let (sum, weights) = (-400..=400).map(|n| f64::from(n) / 100.0).fold((0.0, 0.0), |s, z| {
-            let weight = (-0.5 * z * z).exp();
-            (s.0 + weight * (-after_s / (0.3 * 10_f64.powf(SPREAD * z))).exp(), s.1 + weight)
-        });
-        sum / weights
-    };
-    for after_s in [0.1, 0.2, 0.4, 0.8, 1.5] {
-        let (found, expected) = (left(after_s) / left(0.05), mean(after_s) / mean(0.05));
-        assert!((found / expected - 1.0).abs() < 0.06, "{after_s} s: {found} for {expected}");
-        // One exponential is far off.
-        let single = (-(after_s - 0.05) / 0.3_f64).exp();
-        assert!(after_s < 0.3 || (single / found - 1.0).abs() > 0.1, "{after_s} s: {single}");
+    for (spread, power) in [(0.4, 0.0), (0.7, -0.3), (0.5, 0.5)] {
+        let branch = [
+            ("branch_n_per_m", 2e5),
+            ("time_constant_s", 0.3),
+            ("spread_decades", spread),
+            ("power", power),
+        ];
+        let rig = single("viscoelasticity", &branch);
+        let x = run(&rig, 1e3, 31.0, |t| if t < 1.0 { 0.0 } else { 60.0 }).position_m.remove(0);
+        let left = |after_s: f64| x[30_999] - x[((1.0 + after_s) * 1e3) as usize];
+        // Its ends are the root of three standard deviations from its middle.
+        let mean = |after_s: f64| -> f64 {
+            let steps = (-400..=400).map(|n| f64::from(n) / 400.0 * 3_f64.sqrt() * spread);
+            let (sum, weights) = steps.fold((0.0, 0.0), |s, decades| {
+                let weight = 10_f64.powf(power * decades);
+                let left = (-after_s / (0.3 * 10_f64.powf(decades))).exp();
+                (s.0 + weight * left, s.1 + weight)
+            });
+            sum / weights
+        };
+        for after_s in [0.1, 0.2, 0.4, 0.8, 1.5] {
+            let (found, expected) = (left(after_s) / left(0.05), mean(after_s) / mean(0.05));
+            let at = format!("{spread} decades, {power}, {after_s} s");
+            assert!((found / expected - 1.0).abs() < 0.06, "{at}: {found} for {expected}");
+            // One exponential is far off.
+            let single = (-(after_s - 0.05) / 0.3_f64).exp();
+            assert!(after_s < 0.8 || (single / found - 1.0).abs() > 0.1, "{at}: {single}");
+        }
     }
 }
 
@@ -280,6 +290,58 @@ fn friction_with_a_corner_is_a_spring_until_it_slips() {
         (0.98 * expected.start..1.02 * expected.end).contains(&behind),
         "{behind} {expected:?}"
     );
+}
+
+/// What breaks loose at creeping speeds is more than what slides at fast ones, by the share that is asked for.
+#[test]
+fn friction_takes_more_to_break_loose_than_to_slide() {
+    // Height of the loop halfway up and down, and the mean speed there.
+    let loop_of = |rig: &Rig, hz: f64| {
+        let n = (1e4 / hz) as usize;
+        let x = run(rig, 1e4, 2.0 / hz, triangle(60.0, hz)).position_m.remove(0);
+        let [up, down] = [n + n / 4, n + 3 * n / 4];
+        let speed = |at: usize| (x[at + 1] - x[at - 1]).abs() / 2e-4;
+        (x[down] - x[up], 0.5 * (speed(up) + speed(down)))
+    };
+    let rubs = |stribeck: f64| {
+        let settings = [
+            ("coulomb_n", 5.0),
+            ("presliding_m", 2e-8),
+            ("stribeck", stribeck),
+            ("stribeck_m_per_s", 3e-4),
+        ];
+        single("friction", &settings)
+    };
+    for hz in [1.0, 20.0, 100.0] {
+        let bare = loop_of(&one_axis(), hz).0;
+        let (rests, speed) = loop_of(&rubs(0.4), hz);
+        let found = (rests - bare) / (loop_of(&rubs(0.0), hz).0 - bare);
+        let expected = 1.0 + 0.4 * (-(speed / 3e-4).powi(2)).exp();
+        assert!((found / expected - 1.0).abs() < 0.02, "{hz} Hz: {found} for {expected}");
+    }
+}
+
+/// A spring from axis to axis holds each of them as well; a base that both stand on gives way under each.
+#[test]
+fn a_spring_between_axes_may_hold_each_of_them() {
+    let travel = |settings: &[(&str, f64)], stiffer: f64| {
+        let mut rig = Rig::named("handley").unwrap();
+        let place = Place::Pair { on: 1, from: 2 };
+        for &(name, value) in settings {
+            rig.set("stiffness-coupling", place, name, value).unwrap();
+        }
+        for axis in [1, 2] {
+            rig.set("stiffness", Place::Axis(axis), "change_n_per_m", stiffer).unwrap();
+        }
+        run_from(&rig, 1e4, 0.0, 0.05, |axis, _| if axis == 1 { 40.0 } else { 0.0 }).position_m
+    };
+    for own in [-1.0, 1.0] {
+        let with = travel(&[("stiffness_n_per_m", 2e5), ("own", own)], 0.0);
+        let apart = travel(&[("stiffness_n_per_m", 2e5)], own * 2e5);
+        let off = with.iter().flatten().zip(apart.iter().flatten());
+        let off = off.fold(0.0_f64, |worst, (a, b)| worst.max((a - b).abs()));
+        assert!(off < 1e-14, "{own}: {off} m");
+    }
 }
 
 /// A stage that starts away from zero rests where friction caught it on its way there.

@@ -245,6 +245,7 @@ pub fn fit(
     untouched: Option<&Stack>,
     include: &(dyn Fn(&Channel) -> bool + Sync),
 ) -> Result<Fit, Error> {
+    knobs.iter_mut().for_each(|knob| knob.keep_to_simulated(base));
     let values: Vec<f64> = start.iter().zip(&knobs).map(|(v, k)| v.clamp(k.min, k.max)).collect();
     keep_laws(&mut knobs, &values);
     let mut normal = DMatrix::zeros(knobs.len(), knobs.len());

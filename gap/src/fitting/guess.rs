@@ -16,7 +16,7 @@ use crate::session::scene::{Scene, Stack};
 use crate::session::spectra::{SLOWEST_HUM_HZ, has_harmonic, lines, push_apart, resonances};
 
 /// Periods of a gauge's ripple at which a fit begins, as shares of the travel.
-const RIPPLES: [f64; 4] = [0.3, 0.5, 0.8, 1.3];
+pub(crate) const RIPPLES: [f64; 4] = [0.3, 0.5, 0.8, 1.3];
 
 /// What the session offers to look at.
 #[derive(Debug, Clone)]
@@ -219,11 +219,15 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             for peak in ranges.peaks_hz(usize::MAX) {
                 hz.extend([0.9, 0.95, 1.0, 1.05].map(|r| r * peak));
             }
-            for f in hz {
+            let lightly = hz.into_iter().map(|f| (f, 0.01));
+            // A mass that hardly rings shows no line, and a fit does not get to it from one that does: its damping runs down to none.
+            let heavily = [220.0, 400.0, 750.0, 1400.0, 2600.0].into_iter();
+            let heavily = heavily.filter(|f| *f < 0.5 * ranges.rate_hz).map(|f| (f, 0.2));
+            for (f, damping_ratio) in lightly.chain(heavily) {
                 let omega = std::f64::consts::TAU * f;
                 let kg = ranges.stiffness_n_per_m / (omega * omega) - ranges.mass_kg;
                 if kg > 0.0 {
-                    let damping = 0.02 * (ranges.stiffness_n_per_m * kg).sqrt();
+                    let damping = 2.0 * damping_ratio * (ranges.stiffness_n_per_m * kg).sqrt();
                     wanted.push(with(&[("added_kg", kg), ("added_damping_n_s_per_m", damping)]));
                 }
             }
@@ -320,8 +324,8 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             }
         }
         "sensor-nonlinearity" => {
-            // The line may end far beyond what was driven.
-            for zero_m in [0.0, far, FARTHEST_ZERO * far] {
+            // The line may end far beyond what was driven, or be that of a bridge, right in the middle.
+            for zero_m in [0.0, 0.5 * far, far, FARTHEST_ZERO * far] {
                 for name in ["quadratic_per_m", "cubic_per_m2"] {
                     wanted.push(with(&[(name, typical(name)), ("zero_m", zero_m)]));
                 }
@@ -410,6 +414,7 @@ pub fn fine_step(effect: &str, parameter: &str, ranges: &Ranges) -> Option<f64> 
             let fast = 0.25 * std::f64::consts::TAU * ranges.rate_hz;
             Some(2.0e-3 * ranges.stiffness_n_per_m / (fast * fast))
         }
+        ("viscoelasticity", "power") => Some(0.1),
         // An eighth of a turn from the first recording to the last: a hum runs on between them.
         ("sensor-hum" | "amplifier-hum" | "floor-hum", "frequency_hz") => {
             Some(0.02 / ranges.session_s.max(1.0))

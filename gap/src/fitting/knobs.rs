@@ -100,6 +100,16 @@ impl Knob {
         }
     }
 
+    /// Keep it where the simulation follows it: beyond, a fit would see that nothing changes, and stay there.
+    pub(crate) fn keep_to_simulated(&mut self, rig: &Rig) {
+        let Target::Effect { effect, place, index } = &self.target else { return };
+        let info = effect.info();
+        let lowest = rig.lowest_simulated(info.name, *place, info.parameters[*index].name);
+        if let Some(lowest) = lowest.filter(|_| !self.is_frozen()) {
+            self.min = self.min.max(lowest);
+        }
+    }
+
     /// Write `value` into the rig.
     pub fn write(&self, rig: &mut Rig, value: f64) -> Result<(), Error> {
         let value = value.clamp(self.min, self.max);
@@ -198,10 +208,12 @@ pub fn places(effect: EffectRef, axes: usize) -> Vec<Place> {
 }
 
 /// Parameters that only tell varieties of an effect apart.
-const VARIETIES: [(&str, &str); 3] = [
+const VARIETIES: [(&str, &str); 5] = [
     ("piezo-gain", "polarisation"),
     ("amplifier-bandwidth", "further_pole"),
     ("viscoelasticity", "spread_decades"),
+    ("viscoelasticity", "power"),
+    ("stiffness-coupling", "own"),
 ];
 
 /// Whether an effect is one number, or has one beside which others only tell varieties apart.
@@ -305,8 +317,15 @@ fn walks(order: usize, end: f64) -> f64 {
 const EXCLUSIVE: [&str; 2] = ["hysteresis-rate", "sensor-drift"];
 
 /// Parameters that stay at their lower bound in a fit that starts there: a variety of the effect, of which there are starts of its own.
-const STAYS: [(&str, &str); 3] =
-    [("friction", "creeping_m_per_s"), ("friction", "corner"), ("amplifier-current-limit", "knee")];
+const STAYS: [(&str, &str); 4] = [
+    ("friction", "creeping_m_per_s"),
+    ("friction", "corner"),
+    ("friction", "stribeck"),
+    ("amplifier-current-limit", "knee"),
+];
+
+/// Shapes that matter only while another one of the same effect, the one before it, is not zero.
+const OF_THE_ONE_BEFORE: [(&str, &str); 1] = [("friction", "stribeck_m_per_s")];
 
 /// Freeze the parameters of laws that do nothing at `values` beside one that does, at the same place, and those of varieties that do nothing.
 pub(crate) fn keep_laws(knobs: &mut [Knob], values: &[f64]) {
@@ -327,12 +346,21 @@ pub(crate) fn keep_laws(knobs: &mut [Knob], values: &[f64]) {
         })
         .map(|((name, place, law, _), _)| (name, place, law))
         .collect();
+    let mut before = 0.0;
     for (knob, &value) in knobs.iter_mut().zip(values) {
         if let Target::Effect { effect, index, .. } = &knob.target {
             let info = effect.info();
             let name = info.parameters[*index].name;
+            if OF_THE_ONE_BEFORE.contains(&(info.name, name)) && before == 0.0 {
+                (knob.min, knob.max) = (value, value);
+            }
+            before = value;
             if STAYS.contains(&(info.name, name)) && value <= knob.min {
                 knob.max = knob.min;
+            }
+            // A matrix, a spring or a base: there is nothing in between.
+            if (info.name, name) == ("stiffness-coupling", "own") {
+                (knob.min, knob.max) = (value, value);
             }
             if AHEAD.contains(&name) && value == 0.0 {
                 (knob.min, knob.max) = (0.0, 0.0);

@@ -23,6 +23,8 @@ const PROXY: f64 = 0.78;
 const PROXY_OF_ONE_LAW: f64 = 0.96;
 /// Gap energy in units of the noise from which that can be told.
 const TELLS_LAWS: f64 = 1.0;
+/// Share of the gap of recordings that were held out below which causes are refuted by them.
+const REFUTED: f64 = 0.5;
 /// Effects for which nature has other laws than the one that is fitted, so that the right one leaves something.
 const OF_MANY_LAWS: [&str; 7] = [
     "amplifier-current-limit",
@@ -172,6 +174,28 @@ pub(crate) fn trusted(
         !gaps[axis].counts || closed[axis].is_none_or(|closed| closed >= wanted)
     };
     (0..gaps.len()).map(is_trusted).collect()
+}
+
+/// Axes on which recordings that were held out show a gap that is louder than their noise, and the causes leave most of it: they account for
+/// the recordings that they were fitted to, and for no others.
+pub(crate) fn refuted(held_out: &Energies, axes: usize) -> Vec<usize> {
+    let gaps = held_out.gap(axes).per_axis;
+    let is_refuted = |gap: &&AxisGap| excess_ratio(gap) > TELLS_LAWS && gap.closed < REFUTED;
+    gaps.iter().filter(is_refuted).map(|gap| gap.axis - 1).collect()
+}
+
+/// Share of the gap of all axes that is closed on those that are `trusted`.
+pub(crate) fn closed_on(energies: &Energies, trusted: &[bool]) -> f64 {
+    let energy = |gap: &AxisGap| gap.energy_nm2().max(0.0);
+    let gaps = energies.gap(trusted.len()).per_axis;
+    let believed = gaps.iter().filter(|gap| trusted[gap.axis - 1]);
+    let closed: f64 = believed.map(|gap| gap.closed.clamp(0.0, 1.0) * energy(gap)).sum();
+    closed / gaps.iter().map(energy).sum::<f64>().max(f64::MIN_POSITIVE)
+}
+
+/// Whether some axis has a gap that is louder than its noise.
+pub(crate) fn is_loud(energies: &Energies, axes: usize) -> bool {
+    energies.gap(axes).per_axis.iter().any(|gap| excess_ratio(gap) > TELLS_LAWS)
 }
 
 /// Whether an effect may follow another law than the one that is fitted.

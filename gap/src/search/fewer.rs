@@ -20,6 +20,10 @@ use crate::session::scene::Wanted;
 const AS_GOOD: f64 = 0.5;
 /// Share of the gap that an effect has to carry to be left alone.
 const MUCH: f64 = 0.5;
+/// What a spring between axes takes in if it runs from one to the other, or is that of a base under both,
+const STIFFNESS: &str = "stiffness";
+/// by this parameter of the effect.
+const OWN: (&str, &str) = ("stiffness-coupling", "own");
 /// Most models that are looked at.
 const MOST_LOOKED_AT: usize = 3;
 
@@ -53,6 +57,12 @@ impl Search<'_> {
                     let wider = self.fit_model(terms, start.concat(), effort)?;
                     self.remember(wider);
                 }
+                if name == STIFFNESS {
+                    for (terms, start) in with_spring_of_its_own(&rival, t) {
+                        let model = self.fit_model(terms, start, effort)?;
+                        self.remember(model);
+                    }
+                }
                 if is_known {
                     continue;
                 }
@@ -73,6 +83,29 @@ impl Search<'_> {
         let left = cost(&self.scene.residuals_at(&rig, Wanted::ALL, self.include)?);
         Ok(left - self.noise > MUCH * self.gap)
     }
+}
+
+/// A model without a term, a stiffness, with springs between axes that hold each of them as well, or let each of them go.
+fn with_spring_of_its_own(model: &Model, term: usize) -> Vec<(Vec<Term>, Vec<f64>)> {
+    let rest = model.part(|other, _| other.name() != model.terms[term].name());
+    let is_spring = |(term, _): &(Term, Vec<f64>)| term.name() == OWN.0;
+    let Some(info) = rest.iter().find(|known| is_spring(known)).map(|(t, _)| t.effect.info())
+    else {
+        return Vec::new();
+    };
+    let Some(own) = info.parameters.iter().position(|p| p.name == OWN.1) else { return Vec::new() };
+    let with = |way: f64| {
+        let set = |known: &(Term, Vec<f64>)| {
+            let (term, mut values) = known.clone();
+            if is_spring(known) {
+                values.chunks_mut(info.parameters.len()).for_each(|place| place[own] = way);
+            }
+            (term, values)
+        };
+        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = rest.iter().map(set).unzip();
+        (terms, start.concat())
+    };
+    [-1.0, 1.0].map(with).to_vec()
 }
 
 /// The terms of a model but one, for each of the others that is on other axes alone and can take its place there.

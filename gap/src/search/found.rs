@@ -298,9 +298,9 @@ pub(crate) fn with_gap(
     tracks.into_iter().map(|(track, _)| track).collect()
 }
 
-/// Share of the whole gap that causes have to close to be named at all: a tenth of a nanometre on one axis is no answer to sixty on
-/// another, and as likely the integrator's.
-const LEAST_OVERALL: f64 = 0.02;
+/// Share of the whole gap that causes have to close on the axes where they are believed to be named at all: a nanometre on one axis is no answer
+/// to sixty on another, and as likely the form of what is at work there.
+const LEAST_OVERALL: f64 = 0.1;
 
 /// Take back causes on axes that stay mostly open: they are proxies of something that is not in the catalogue.
 pub(crate) fn abstain(
@@ -315,7 +315,6 @@ pub(crate) fn abstain(
     let everything = |_: &Channel| true;
     let after = scene.raw(&found.model.fit.rig, everything)?;
     let whole = Energies::new(scene, raw_before, &after, &everything);
-    let overall = whole.gap(axes).closed;
     let has_laws = |axis: usize| {
         let terms = start_terms(&found.model);
         let has_laws = |(term, values): &(Term, Vec<f64>)| {
@@ -324,6 +323,14 @@ pub(crate) fn abstain(
         terms.iter().any(|known| has_laws(known) && reaches(rig, &known.0, axis))
     };
     let mut trusted = accept::trusted(&whole, gaps, has_laws);
+    // What goes as chance has it is checked on parts of recordings, where it was fitted.
+    let is_told = found.wandering().is_empty();
+    let held_out = Energies::new(scene, raw_before, &after, &|c: &Channel| c.held_out);
+    if is_told {
+        for axis in accept::refuted(&held_out, axes) {
+            trusted[axis] = false;
+        }
+    }
     let abstained: Vec<String> =
         (0..axes).filter(|&a| !trusted[a]).map(|a| (a + 1).to_string()).collect();
     if !abstained.is_empty() {
@@ -357,7 +364,10 @@ pub(crate) fn abstain(
         ));
     }
     restrict(rig, &mut found, &trusted, &loud)?;
-    Ok((!found.model.terms.is_empty() && overall >= LEAST_OVERALL).then_some(found))
+    let least = |energies: &Energies| accept::closed_on(energies, &trusted) >= LEAST_OVERALL;
+    let overall =
+        least(&whole) && (!is_told || !accept::is_loud(&held_out, axes) || least(&held_out));
+    Ok((!found.model.terms.is_empty() && overall).then_some(found))
 }
 
 /// Whether a term changes what is measured on an axis.

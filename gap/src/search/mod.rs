@@ -30,6 +30,7 @@ pub(crate) mod loops;
 mod pairs;
 mod prune;
 mod resonance;
+mod ripple;
 pub mod screen;
 pub mod select;
 mod swap;

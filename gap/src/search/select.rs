@@ -323,6 +323,7 @@ impl<'a> Search<'a> {
         let (model, start) = self.without_runaways(model, start, left, effort)?;
         let model = self.resonating_alike(model, left, effort)?;
         let model = self.other_variety(model, effort)?;
+        let model = self.rippled(model, effort)?;
         let model = self.other_law(model, &start, effort)?;
         let model = self.further_mode(model, effort)?;
         let model = self.wandering(model, effort)?;

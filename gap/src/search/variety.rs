@@ -5,7 +5,10 @@
 //! one. So where the plain variety leaves something the other one is fitted as well.
 //!
 //! Creep goes with the logarithm of time and with the voltage, or a little otherwise in either: two numbers more, which most stacks do not need.
-//! What rubs yields ever more before it slips, or holds as a spring does until it slips.
+//! What rubs yields ever more before it slips, or holds as a spring does until it slips; it may take more to break loose than to slide.
+//!
+//! A spring from axis to axis holds each of them as well, a base that both stand on gives way under each: that is not the spring of a matrix, and
+//! all three have one number.
 //!
 //! Loops widen with the rate by one law or another, and each of them comes near to the others: a fit that begins with one stays with it. So
 //! do gauges that drift to an end and those that drift to and fro.
@@ -33,7 +36,7 @@ struct Variety {
     granted_below: Option<f64>,
 }
 
-const VARIETIES: [Variety; 3] = [
+const VARIETIES: [Variety; 6] = [
     Variety {
         effect: "amplifier-current-limit",
         parameter: "knee",
@@ -57,6 +60,31 @@ const VARIETIES: [Variety; 3] = [
         growth: 1.0,
         leaves: 0.8,
         granted_below: Some(0.25),
+    },
+    Variety {
+        effect: "friction",
+        parameter: "stribeck",
+        start: 0.4,
+        growth: 0.85,
+        leaves: 0.7,
+        granted_below: None,
+    },
+    // From axis to axis, and under both of them.
+    Variety {
+        effect: "stiffness-coupling",
+        parameter: "own",
+        start: -1.0,
+        growth: 1.0,
+        leaves: 0.5,
+        granted_below: None,
+    },
+    Variety {
+        effect: "stiffness-coupling",
+        parameter: "own",
+        start: 1.0,
+        growth: 1.0,
+        leaves: 0.5,
+        granted_below: None,
     },
 ];
 
@@ -124,13 +152,21 @@ impl Search<'_> {
         Ok(best.unwrap_or(model))
     }
 
-    /// `model`, or the same with the other variety of its last effect, whichever leaves less.
+    /// `model`, or the same with another variety of its last effect, whichever leaves less.
     pub(crate) fn other_variety(&self, model: Model, effort: Effort) -> Result<Model, Error> {
+        let name = model.terms[model.terms.len() - 1].name();
+        let mut model = model;
+        for variety in VARIETIES.iter().filter(|variety| variety.effect == name) {
+            model = self.of_variety(model, variety, effort)?;
+        }
+        Ok(model)
+    }
+
+    /// `model`, or the same with this variety of its last effect.
+    fn of_variety(&self, model: Model, variety: &Variety, effort: Effort) -> Result<Model, Error> {
         let last = model.terms.len() - 1;
         let info = model.terms[last].effect.info();
         let left = model.fit.cost - self.noise;
-        let variety = VARIETIES.iter().find(|variety| variety.effect == info.name);
-        let Some(variety) = variety else { return Ok(model) };
         // Where the plain one does nothing at all, there is nothing that a knee could round off.
         let does_nothing = model.terms.len() == 1 && left > (1.0 - WORTH_OF_FIRST) * self.gap;
         if left < CLOSED * self.gap || model.fit.cost > effort.hopeless || does_nothing {

@@ -184,7 +184,11 @@ fn of_group(rig: &Rig, group: u32, ticks: &Ticks) -> f64 {
         return whole as f64;
     }
     let model = Model::new(rig, ticks.step_s);
-    let follows = |on: usize| model.axes[on].follows_every_tick();
+    // What rubs on a mass takes it through the parts of every tick.
+    let follows = |on: usize| {
+        let axis = &model.axes[on];
+        axis.follows_every_tick() || axis.mechanism.forces.iter().any(|force| force.rubs())
+    };
     let share = members().map(|on| if follows(on) { 1.0 } else { ticks.lively[on] });
     let share = share.fold(0.0, f64::max);
     let parts = members().map(|on| substeps(&model.axes[on], ticks.step_s)).max().unwrap_or(1);

@@ -6,6 +6,15 @@
 use super::{Axis, Rig, Setting};
 use crate::effects::{MOST_OF_STACK, Place};
 
+impl Rig {
+    /// Lowest value of a parameter of an effect at a place that is simulated as it stands: below it this one is, so that nothing changes any more.
+    /// None of parameters that are simulated whatever they are.
+    pub fn lowest_simulated(&self, effect: &str, place: Place, parameter: &str) -> Option<f64> {
+        let axis = self.axes.get(place.on())?;
+        lowest(axis, effect, parameter).map(|(lowest, _)| lowest)
+    }
+}
+
 /// Lowest value of a parameter of an effect, and what it is counted from: stack and mechanism together.
 fn lowest(axis: &Axis, effect: &str, parameter: &str) -> Option<(f64, f64)> {
     let (stack, mechanism) = match (effect, parameter) {
@@ -13,6 +22,9 @@ fn lowest(axis: &Axis, effect: &str, parameter: &str) -> Option<(f64, f64)> {
             (axis.piezo.stiffness_n_per_m, axis.mechanism.stiffness_n_per_m)
         }
         ("inertia", "added_kg") => (axis.piezo.mass_kg, axis.mechanism.mass_kg),
+        ("inertia", "added_damping_n_s_per_m") => {
+            (axis.piezo.damping_n_s_per_m, axis.mechanism.damping_n_s_per_m)
+        }
         _ => return None,
     };
     Some((-MOST_OF_STACK * stack - mechanism, stack + mechanism))
@@ -84,6 +96,11 @@ mod tests {
                 "stiffness.change_n_per_m: expected more than -",
             ),
             ("inertia", &[("added_kg", -100.0)], "inertia.added_kg: expected more than -"),
+            (
+                "inertia",
+                &[("added_damping_n_s_per_m", -1.0e5)],
+                "inertia.added_damping_n_s_per_m: expected more than -",
+            ),
             (
                 "amplifier-clipping",
                 &[("max_v", -5.0), ("min_v", 20.0)],

@@ -212,6 +212,10 @@ pub trait Force: Send {
     fn force(&self, x_m: f64) -> (f64, f64);
     /// Accept the end of a tick of `step_s`, or the resting place when `step_s` is 0.
     fn commit(&mut self, _x_m: f64, _step_s: f64) {}
+    /// Whether it holds at every reversal, wherever that is.
+    fn rubs(&self) -> bool {
+        false
+    }
     /// Whether it goes with time, or with the speed: such an axis is followed in every tick.
     fn goes_with_time(&self) -> bool {
         false

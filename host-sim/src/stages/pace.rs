@@ -15,9 +15,17 @@ use super::model::AxisModel;
 /// Most ticks taken at once, and ticks that are decided upon together.
 pub const LEAP: usize = 4;
 
-/// Ticks that an axis which goes in so many sub-steps may take at once, if it ever does. Between the ticks of a leap nothing may swing.
+/// Ticks that an axis which goes in so many sub-steps may take at once, if it ever does. Between the ticks of a leap nothing may swing, and what rubs
+/// takes no whole ticks on an axis that swings: friction that holds at the end of one sets it swinging, which ends the calm, and so on, a
+/// limit cycle that no rig has.
 pub fn leap(model: &AxisModel, substeps: usize) -> Option<usize> {
-    if substeps > 1 { Some(1) } else { (swings_at(model) == 0.0).then_some(LEAP) }
+    let swings = swings_at(model) != 0.0;
+    if substeps > 1 {
+        let rubs = model.mechanism.forces.iter().any(|force| force.rubs());
+        (!swings || !rubs).then_some(1)
+    } else {
+        (!swings).then_some(LEAP)
+    }
 }
 
 /// Change of the voltage in a tick up to which an axis is calm, V.
