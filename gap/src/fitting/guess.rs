@@ -16,7 +16,7 @@ use crate::session::scene::{Scene, Stack};
 use crate::session::spectra::{SLOWEST_HUM_HZ, has_harmonic, lines, push_apart, resonances};
 
 /// Periods of a gauge's ripple at which a fit begins, as shares of the travel.
-pub(crate) const RIPPLES: [f64; 4] = [0.3, 0.5, 0.8, 1.3];
+const RIPPLES: [f64; 4] = [0.3, 0.5, 0.8, 1.3];
 
 /// What the session offers to look at.
 #[derive(Debug, Clone)]

@@ -63,7 +63,12 @@ pub(crate) fn causes_of(
         });
         for (k, p) in info.parameters.iter().enumerate() {
             // A part of the effect may be there on some axes only.
-            let is_frozen = |q: usize| whole.fit.knobs[at + q * width + k].is_frozen();
+            // What tells a variety of it from another one is told although no fit turns it.
+            let is_frozen = |q: usize| {
+                let knob = &whole.fit.knobs[at + q * width + k];
+                let is_told = knob.is_variety() && whole.values(t, q)[k] != p.zero;
+                knob.is_frozen() && !is_told
+            };
             if (0..term.places.len()).all(is_frozen) {
                 continue;
             }
