@@ -324,8 +324,8 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             }
         }
         "sensor-nonlinearity" => {
-            // The line may end far beyond what was driven, or be that of a bridge, right in the middle.
-            for zero_m in [0.0, 0.5 * far, far, FARTHEST_ZERO * far] {
+            // The line may end far beyond what was driven.
+            for zero_m in [0.0, far, FARTHEST_ZERO * far] {
                 for name in ["quadratic_per_m", "cubic_per_m2"] {
                     wanted.push(with(&[(name, typical(name)), ("zero_m", zero_m)]));
                 }

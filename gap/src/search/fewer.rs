@@ -20,10 +20,13 @@ use crate::session::scene::Wanted;
 const AS_GOOD: f64 = 0.5;
 /// Share of the gap that an effect has to carry to be left alone.
 const MUCH: f64 = 0.5;
-/// What a spring between axes takes in if it runs from one to the other, or is that of a base under both,
-const STIFFNESS: &str = "stiffness";
-/// by this parameter of the effect.
-const OWN: (&str, &str) = ("stiffness-coupling", "own");
+/// Effects that a variety of another one takes in, the parameter that tells the variety, and where fits of it begin, as multiples: of the
+/// parameter itself, or of the farthest travel. A spring that runs from axis to axis, or is that of a base under both, is a stiffness as well; a
+/// bridge that is right in the middle of the travel is a gain as well.
+const TAKEN_IN: [(&str, (&str, &str), &[f64]); 2] = [
+    ("stiffness", ("stiffness-coupling", "own"), &[-1.0, 1.0]),
+    ("sensor-gain", ("sensor-nonlinearity", "zero_m"), &[0.5]),
+];
 /// Most models that are looked at.
 const MOST_LOOKED_AT: usize = 3;
 
@@ -57,11 +60,9 @@ impl Search<'_> {
                     let wider = self.fit_model(terms, start.concat(), effort)?;
                     self.remember(wider);
                 }
-                if name == STIFFNESS {
-                    for (terms, start) in with_spring_of_its_own(&rival, t) {
-                        let model = self.fit_model(terms, start, effort)?;
-                        self.remember(model);
-                    }
+                for (terms, start) in self.taken_in(&rival, t) {
+                    let model = self.fit_model(terms, start, effort)?;
+                    self.remember(model);
                 }
                 if is_known {
                     continue;
@@ -77,35 +78,44 @@ impl Search<'_> {
         if self.is_worth_more(&smaller, &model) { Ok(model) } else { self.fewer(smaller) }
     }
 
+    /// A model without a term, with varieties of another one that take it in: terms and where their fits begin.
+    fn taken_in(&self, model: &Model, term: usize) -> Vec<(Vec<Term>, Vec<f64>)> {
+        let name = model.terms[term].name();
+        let Some((_, (by, parameter), starts)) = TAKEN_IN.iter().find(|(taken, ..)| *taken == name)
+        else {
+            return Vec::new();
+        };
+        let rest = model.part(|other, _| other.name() != name);
+        let Some((other, _)) = rest.iter().find(|(other, _)| other.name() == *by) else {
+            return Vec::new();
+        };
+        let info = other.effect.info();
+        let Some(index) = info.parameters.iter().position(|p| p.name == *parameter) else {
+            return Vec::new();
+        };
+        let unit = if info.parameters[index].unit == "m" { self.ranges.travel_m.1 } else { 1.0 };
+        let begun_at = |start: &f64| {
+            let set = |(term, values): &(Term, Vec<f64>)| {
+                let mut values = values.clone();
+                if term.name() == *by {
+                    values
+                        .chunks_mut(info.parameters.len())
+                        .for_each(|at| at[index] = start * unit);
+                }
+                (term.clone(), values)
+            };
+            let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = rest.iter().map(set).unzip();
+            (terms, start.concat())
+        };
+        starts.iter().map(begun_at).collect()
+    }
+
     /// Whether most of the gap comes back without a term, the others as they are: they will not make up for it.
     fn carries_much(&self, model: &Model, term: usize) -> Result<bool, Error> {
         let rig = model.without(self.nominal, term, |_| true)?;
         let left = cost(&self.scene.residuals_at(&rig, Wanted::ALL, self.include)?);
         Ok(left - self.noise > MUCH * self.gap)
     }
-}
-
-/// A model without a term, a stiffness, with springs between axes that hold each of them as well, or let each of them go.
-fn with_spring_of_its_own(model: &Model, term: usize) -> Vec<(Vec<Term>, Vec<f64>)> {
-    let rest = model.part(|other, _| other.name() != model.terms[term].name());
-    let is_spring = |(term, _): &(Term, Vec<f64>)| term.name() == OWN.0;
-    let Some(info) = rest.iter().find(|known| is_spring(known)).map(|(t, _)| t.effect.info())
-    else {
-        return Vec::new();
-    };
-    let Some(own) = info.parameters.iter().position(|p| p.name == OWN.1) else { return Vec::new() };
-    let with = |way: f64| {
-        let set = |known: &(Term, Vec<f64>)| {
-            let (term, mut values) = known.clone();
-            if is_spring(known) {
-                values.chunks_mut(info.parameters.len()).for_each(|place| place[own] = way);
-            }
-            (term, values)
-        };
-        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = rest.iter().map(set).unzip();
-        (terms, start.concat())
-    };
-    [-1.0, 1.0].map(with).to_vec()
 }
 
 /// The terms of a model but one, for each of the others that is on other axes alone and can take its place there.
