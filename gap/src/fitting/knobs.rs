@@ -208,11 +208,10 @@ pub fn places(effect: EffectRef, axes: usize) -> Vec<Place> {
 }
 
 /// Parameters that only tell varieties of an effect apart.
-const VARIETIES: [(&str, &str); 5] = [
+const VARIETIES: [(&str, &str); 4] = [
     ("piezo-gain", "polarisation"),
     ("amplifier-bandwidth", "further_pole"),
     ("viscoelasticity", "spread_decades"),
-    ("viscoelasticity", "power"),
     ("stiffness-coupling", "own"),
 ];
 
@@ -358,7 +357,6 @@ pub(crate) fn keep_laws(knobs: &mut [Knob], values: &[f64]) {
             if STAYS.contains(&(info.name, name)) && value <= knob.min {
                 knob.max = knob.min;
             }
-            // A matrix, a spring or a base: there is nothing in between.
             if (info.name, name) == ("stiffness-coupling", "own") {
                 (knob.min, knob.max) = (value, value);
             }
