@@ -66,7 +66,7 @@ const VARIETIES: [Variety; 6] = [
         parameter: "stribeck",
         start: 0.4,
         growth: 0.85,
-        leaves: 0.7,
+        leaves: 0.4,
         granted_below: None,
     },
     // From axis to axis, and under both of them.
