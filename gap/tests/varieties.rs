@@ -99,9 +99,9 @@ fn a_gauge_may_bend_and_repeat_itself() {
     }
 }
 
-/// A gain that changes within recordings has no place in the catalogue, and what comes near in some of them is refuted by others.
+/// A gain that changes within recordings has no place in the catalogue.
 #[test]
-fn what_the_recordings_held_out_refute_is_not_named() {
+fn a_gain_that_changes_within_recordings_is_not_named() {
     let cracks = |axis: usize, row: usize, um: f64| {
         if axis == 0 && row > 7_000 { 0.97 * um } else { um }
     };

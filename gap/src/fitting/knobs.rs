@@ -323,6 +323,9 @@ const STAYS: [(&str, &str); 4] = [
     ("amplifier-current-limit", "knee"),
 ];
 
+/// Parameters that no fit turns: a matrix, a spring or a base, and nothing in between.
+const ONE_OR_OTHER: [(&str, &str); 1] = [("stiffness-coupling", "own")];
+
 /// Shapes that matter only while another one of the same effect, the one before it, is not zero.
 const OF_THE_ONE_BEFORE: [(&str, &str); 1] = [("friction", "stribeck_m_per_s")];
 
@@ -350,15 +353,13 @@ pub(crate) fn keep_laws(knobs: &mut [Knob], values: &[f64]) {
         if let Target::Effect { effect, index, .. } = &knob.target {
             let info = effect.info();
             let name = info.parameters[*index].name;
-            if OF_THE_ONE_BEFORE.contains(&(info.name, name)) && before == 0.0 {
+            let does_nothing = OF_THE_ONE_BEFORE.contains(&(info.name, name)) && before == 0.0;
+            if does_nothing || ONE_OR_OTHER.contains(&(info.name, name)) {
                 (knob.min, knob.max) = (value, value);
             }
             before = value;
             if STAYS.contains(&(info.name, name)) && value <= knob.min {
                 knob.max = knob.min;
-            }
-            if (info.name, name) == ("stiffness-coupling", "own") {
-                (knob.min, knob.max) = (value, value);
             }
             if AHEAD.contains(&name) && value == 0.0 {
                 (knob.min, knob.max) = (0.0, 0.0);

@@ -64,12 +64,12 @@ pub(crate) fn causes_of(
         for (k, p) in info.parameters.iter().enumerate() {
             // A part of the effect may be there on some axes only.
             // What tells a variety of it from another one is told although no fit turns it.
-            let is_frozen = |q: usize| {
+            let is_silent = |q: usize| {
                 let knob = &whole.fit.knobs[at + q * width + k];
                 let is_told = knob.is_variety() && whole.values(t, q)[k] != p.zero;
                 knob.is_frozen() && !is_told
             };
-            if (0..term.places.len()).all(is_frozen) {
+            if (0..term.places.len()).all(is_silent) {
                 continue;
             }
             if agree {
@@ -79,7 +79,7 @@ pub(crate) fn causes_of(
                     (0..term.places.len()).map(|q| deviations[at + q * width + k]).sum::<f64>() / n;
                 parameters.insert(p.name.to_string(), parameter(value, sd, p.unit));
             } else {
-                for (q, place) in term.places.iter().enumerate().filter(|(q, _)| !is_frozen(*q)) {
+                for (q, place) in term.places.iter().enumerate().filter(|(q, _)| !is_silent(*q)) {
                     let name = match *place {
                         host_sim::effects::Place::Axis(a) => format!("{}_{}", p.name, a + 1),
                         host_sim::effects::Place::Pair { on, from } => {

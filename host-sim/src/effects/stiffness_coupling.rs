@@ -32,7 +32,7 @@ static INFO: Info = Info {
     threshold: false,
     physics: "F_i = -k_ij (x_j + own x_i) and F_j = -k_ij (x_i + own x_j): the flexure mechanism is one body. The neighbour moves by \
               -k_ij/(k_p + k) of the motion, statically and through its own resonance, whatever its voltage. Held to 45 % of the \
-              smaller own stiffness.",
+              smaller own stiffness, or to half of that with own at either end.",
     source: "pseudo-rigid-body model of a 3-RRR: 0.14e6 N/m off, 0.98e6 on the diagonal (notes/physics.md, section 5)",
     revealed_by: "one axis driven alone, others held at two voltages; neighbours' resonance in cross responses",
     confused_with: &["sensor-crosstalk", "drive-crosstalk"],
@@ -50,7 +50,8 @@ impl Effect for StiffnessCoupling {
             axis.piezo.stiffness_n_per_m + axis.mechanism.stiffness_n_per_m
         };
         // Three such springs must leave the stiffness matrix positive definite.
-        let most = 0.45 * own(axes.0).min(own(axes.1));
+        // What goes off the diagonal entries as well counts twice.
+        let most = 0.45 / (1.0 + values[1].abs()) * own(axes.0).min(own(axes.1));
         let stiffness_n_per_m = values[0].clamp(-most, most);
         for axis in [axes.0, axes.1] {
             let stack = model.axes[axis].piezo.stiffness_n_per_m;

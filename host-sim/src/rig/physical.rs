@@ -7,8 +7,8 @@ use super::{Axis, Rig, Setting};
 use crate::effects::{MOST_OF_STACK, Place};
 
 impl Rig {
-    /// Lowest value of a parameter of an effect at a place that is simulated as it stands: below it this one is, so that nothing changes any more.
-    /// None of parameters that are simulated whatever they are.
+    /// Lowest value of a parameter of an effect at a place that is simulated as it stands, in the parameter's unit. Lower ones are simulated as
+    /// this one. None where every value is simulated as it stands.
     pub fn lowest_simulated(&self, effect: &str, place: Place, parameter: &str) -> Option<f64> {
         let axis = self.axes.get(place.on())?;
         lowest(axis, effect, parameter).map(|(lowest, _)| lowest)
