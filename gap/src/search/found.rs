@@ -326,10 +326,9 @@ pub(crate) fn abstain(
     // What goes as chance has it is checked on parts of recordings, where it was fitted.
     let is_told = found.wandering().is_empty();
     let held_out = Energies::new(scene, raw_before, &after, &|c: &Channel| c.held_out);
+    let held_out = held_out.gap(axes).per_axis;
     if is_told {
-        for axis in accept::refuted(&held_out, axes) {
-            trusted[axis] = false;
-        }
+        accept::refuted(&held_out).for_each(|axis| trusted[axis] = false);
     }
     let abstained: Vec<String> =
         (0..axes).filter(|&a| !trusted[a]).map(|a| (a + 1).to_string()).collect();
@@ -364,10 +363,9 @@ pub(crate) fn abstain(
         ));
     }
     restrict(rig, &mut found, &trusted, &loud)?;
-    let least = |energies: &Energies| accept::closed_on(energies, &trusted) >= LEAST_OVERALL;
-    let overall =
-        least(&whole) && (!is_told || !accept::is_loud(&held_out, axes) || least(&held_out));
-    Ok((!found.model.terms.is_empty() && overall).then_some(found))
+    let least = |gaps: &[AxisGap]| accept::closed_on(gaps, &trusted) >= LEAST_OVERALL;
+    let closes = least(&per_axis) && (!is_told || !accept::is_loud(&held_out) || least(&held_out));
+    Ok((!found.model.terms.is_empty() && closes).then_some(found))
 }
 
 /// Whether a term changes what is measured on an axis.
