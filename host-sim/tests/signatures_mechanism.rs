@@ -53,27 +53,37 @@ fn viscoelasticity_is_one_exponential() {
     assert!(expected.contains(&found), "{found} {expected:?}");
 }
 
-/// What is left of a step's relaxation is the log-normal mean of exponentials.
+/// What is left of a step's relaxation is the mean of exponentials whose times spread over a range, alike in all decades of it or by a power.
 #[test]
 fn relaxation_times_spread_by_decades() {
-    const SPREAD: f64 = 0.4;
-    let branch = [("branch_n_per_m", 2e5), ("time_constant_s", 0.3), ("spread_decades", SPREAD)];
-    let rig = single("viscoelasticity", &branch);
-    let x = run(&rig, 1e3, 21.0, |t| if t < 1.0 { 0.0 } else { 60.0 }).position_m.remove(0);
-    let left = |after_s: f64| x[20_999] - x[((1.0 + after_s) * 1e3) as usize];
-    let mean = |after_s: f64| -> f64 {
-        let (sum, weights) = (-400..=400).map(|n| f64::from(n) / 100.0).fold((0.0, 0.0), |s, z| {
-            let weight = (-0.5 * z * z).exp();
-            (s.0 + weight * (-after_s / (0.3 * 10_f64.powf(SPREAD * z))).exp(), s.1 + weight)
-        });
-        sum / weights
-    };
-    for after_s in [0.1, 0.2, 0.4, 0.8, 1.5] {
-        let (found, expected) = (left(after_s) / left(0.05), mean(after_s) / mean(0.05));
-        assert!((found / expected - 1.0).abs() < 0.06, "{after_s} s: {found} for {expected}");
-        // One exponential is far off.
-        let single = (-(after_s - 0.05) / 0.3_f64).exp();
-        assert!(after_s < 0.3 || (single / found - 1.0).abs() > 0.1, "{after_s} s: {single}");
+    for (spread, power) in [(0.4, 0.0), (0.7, -0.3), (0.5, 0.5)] {
+        let branch = [
+            ("branch_n_per_m", 2e5),
+            ("time_constant_s", 0.3),
+            ("spread_decades", spread),
+            ("power", power),
+        ];
+        let rig = single("viscoelasticity", &branch);
+        let x = run(&rig, 1e3, 31.0, |t| if t < 1.0 { 0.0 } else { 60.0 }).position_m.remove(0);
+        let left = |after_s: f64| x[30_999] - x[((1.0 + after_s) * 1e3) as usize];
+        // Its ends are the root of three standard deviations from its middle.
+        let mean = |after_s: f64| -> f64 {
+            let steps = (-400..=400).map(|n| f64::from(n) / 400.0 * 3_f64.sqrt() * spread);
+            let (sum, weights) = steps.fold((0.0, 0.0), |s, decades| {
+                let weight = 10_f64.powf(power * decades);
+                let left = (-after_s / (0.3 * 10_f64.powf(decades))).exp();
+                (s.0 + weight * left, s.1 + weight)
+            });
+            sum / weights
+        };
+        for after_s in [0.1, 0.2, 0.4, 0.8, 1.5] {
+            let (found, expected) = (left(after_s) / left(0.05), mean(after_s) / mean(0.05));
+            let at = format!("{spread} decades, {power}, {after_s} s");
+            assert!((found / expected - 1.0).abs() < 0.06, "{at}: {found} for {expected}");
+            // One exponential is far off.
+            let single = (-(after_s - 0.05) / 0.3_f64).exp();
+            assert!(after_s < 0.8 || (single / found - 1.0).abs() > 0.1, "{at}: {single}");
+        }
     }
 }
 

@@ -270,6 +270,35 @@ fn creep_may_grow_with_the_level_and_from_decade_to_decade() {
     }
 }
 
+/// From one moment to a later one it grows as its chain of strains does, two a decade from the onset on, and not as the logarithm.
+#[test]
+fn creep_may_begin_sharply() {
+    const MOMENTS_S: [f64; 4] = [0.01, 0.05, 0.5, 5.0];
+    let settings = [("per_decade", 0.015), ("onset_s", 0.05), ("sharp", 1.0)];
+    let x = run(&single("creep", &settings), 1e3, 12.0, |t| if t < 1.0 { 0.0 } else { 60.0 })
+        .position_m
+        .remove(0);
+    let grown =
+        |from: f64, to: f64| x[((1.0 + to) * 1e3) as usize] - x[((1.0 + from) * 1e3) as usize];
+    let of_chain = |t: f64| -> f64 {
+        (0..11).map(|j| -(-t / (0.05 * 10f64.powf(0.5 * f64::from(j)))).exp_m1()).sum()
+    };
+    let of_logarithm = |t: f64| (t / 0.05).ln_1p();
+    let shares = |grown: &dyn Fn(f64, f64) -> f64| {
+        MOMENTS_S
+            .windows(2)
+            .map(|w| grown(w[0], w[1]) / grown(MOMENTS_S[0], MOMENTS_S[3]))
+            .collect()
+    };
+    let found: Vec<f64> = shares(&grown);
+    let chain: Vec<f64> = shares(&|from, to| of_chain(to) - of_chain(from));
+    let logarithm: Vec<f64> = shares(&|from, to| of_logarithm(to) - of_logarithm(from));
+    for ((found, chain), logarithm) in found.iter().zip(&chain).zip(&logarithm) {
+        assert!((found / chain - 1.0).abs() < 0.02, "{found} {chain}");
+        assert!((logarithm / chain - 1.0).abs() > 0.03, "{logarithm} {chain}");
+    }
+}
+
 #[test]
 fn piezo_gain_changes_stroke_and_loop() {
     let rig = single("piezo-gain", &[("ratio", 1.05)]);

@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use crate::Error;
 use crate::fitting::descent::Descent;
 use crate::fitting::knobs::{Knob, keep_laws};
+use crate::judge::ambiguity::NOISE_MARGIN;
 use crate::session::scene::{Channel, Scene, Stack, Wanted, dot};
 
 /// A fitted set of knobs.
@@ -34,6 +35,10 @@ pub struct Fit {
 
 /// Share of what is left that an iteration takes off while a fit is still on its way.
 const FAST: f64 = 0.3;
+
+/// Share of the noise that a fit leaves beyond it from which on it goes on until noise alone could decide: the noise is known to 2 % of its
+/// energy, so that a share of what is left says nothing there.
+const NEAR_NOISE: f64 = 0.02;
 
 /// Iterations like the last one that a fit is hoped to have in it: what iterations sum up to that each take off three quarters of the one before.
 const MOST_TO_COME: usize = 3;
@@ -268,7 +273,10 @@ pub fn fit(
         normal = matrix;
         let now = descent.cost();
         falls_fast = before - now > FAST * (before - effort.floor);
-        if before - now < (effort.tolerance * (before - effort.floor)).max(1.0) {
+        let left = before - effort.floor;
+        let is_near = left < NEAR_NOISE * effort.floor;
+        let enough = effort.tolerance * left;
+        if before - now < if is_near { enough.min(NOISE_MARGIN) } else { enough }.max(1.0) {
             break;
         }
         // Iterations take off less and less.

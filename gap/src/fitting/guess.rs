@@ -288,8 +288,12 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             }
         }
         "creep" => {
-            for onset in [0.01, 0.1, 1.0] {
-                wanted.push(with(&[("per_decade", typical("per_decade")), ("onset_s", onset)]));
+            for (onset, sharp) in [(0.01, 1.0), (0.1, 1.0), (1.0, 1.0), (0.03, 0.0), (0.3, 0.0)] {
+                wanted.push(with(&[
+                    ("per_decade", typical("per_decade")),
+                    ("onset_s", onset),
+                    ("sharp", sharp),
+                ]));
             }
         }
         "viscoelasticity" => {
@@ -414,6 +418,7 @@ pub fn fine_step(effect: &str, parameter: &str, ranges: &Ranges) -> Option<f64> 
             let fast = 0.25 * std::f64::consts::TAU * ranges.rate_hz;
             Some(2.0e-3 * ranges.stiffness_n_per_m / (fast * fast))
         }
+        ("viscoelasticity", "power") => Some(0.1),
         // An eighth of a turn from the first recording to the last: a hum runs on between them.
         ("sensor-hum" | "amplifier-hum" | "floor-hum", "frequency_hz") => {
             Some(0.02 / ranges.session_s.max(1.0))

@@ -208,10 +208,11 @@ pub fn places(effect: EffectRef, axes: usize) -> Vec<Place> {
 }
 
 /// Parameters that only tell varieties of an effect apart.
-const VARIETIES: [(&str, &str); 4] = [
+const VARIETIES: [(&str, &str); 5] = [
     ("piezo-gain", "polarisation"),
     ("amplifier-bandwidth", "further_pole"),
     ("viscoelasticity", "spread_decades"),
+    ("creep", "sharp"),
     ("stiffness-coupling", "own"),
 ];
 
@@ -246,7 +247,7 @@ const LAWS: [(&str, &[&[&str]]); 6] = [
             &["ripple_sine_m", "ripple_cosine_m", "ripple_period_m"],
         ],
     ),
-    ("creep", &[&["per_decade", "onset_s"], &["level", "tilt"]]),
+    ("creep", &[&["per_decade", "onset_s", "sharp"], &["level", "tilt"]]),
     (
         "hysteresis-shape",
         &[

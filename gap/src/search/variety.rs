@@ -19,6 +19,7 @@ use crate::Error;
 use crate::fitting::fit::Effort;
 use crate::fitting::knobs::EffectRef;
 use crate::fitting::model::Model;
+use crate::judge::ambiguity::NOISE_MARGIN;
 use crate::search::select::{CLOSED, Search, WORTH_OF_FIRST};
 
 /// A variety that a fit of the plain one does not get to.
@@ -187,7 +188,7 @@ impl Search<'_> {
         if values == model.fit.values {
             return Ok(model);
         }
-        let line = self.noise + variety.leaves * left;
+        let line = (self.noise + variety.leaves * left).min(model.fit.cost - NOISE_MARGIN);
         let effort = Effort { hopeless: model.fit.cost, ..effort };
         let fit = || self.fit_model(model.terms.clone(), values, effort);
         let other = match variety.granted_below {

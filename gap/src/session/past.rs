@@ -13,6 +13,7 @@ use crate::fitting::guess::Ranges;
 use crate::fitting::knobs::EffectRef;
 use crate::search::select::Search;
 use crate::session::intake::Track;
+use crate::session::pyramid::MOST_LEFT_OUT;
 use crate::session::scene::{Channel, Scene};
 
 /// Growth of the stretches with their age: what is long gone acts through its mean.
@@ -79,15 +80,16 @@ pub(crate) fn tell(
     if creep.is_empty() || scene.tracks.iter().all(|track| track.past.is_empty()) {
         return Ok(());
     }
-    let left = |scene: &Scene| -> Result<f64, Error> {
+    // What rings or lags would decide instead where it is louder: creep is slow.
+    let left = |runs_on: bool| -> Result<f64, Error> {
+        let mut slow = Scene { runs_on, ..scene.clone() };
+        slow.leave_out(MOST_LEFT_OUT);
         let fitted = |c: &Channel| !c.held_out;
         let tick = || {};
-        let model = Search::new(scene, rig, &creep, ranges, &fitted, &tick)?.run()?;
+        let model = Search::new(&slow, rig, &creep, ranges, &fitted, &tick)?.run()?;
         Ok(model.map_or(f64::INFINITY, |m| m.fit.cost))
     };
-    let running_on = left(scene)?;
-    scene.runs_on = false;
-    scene.runs_on = running_on <= left(scene)?;
+    scene.runs_on = left(true)? <= left(false)?;
     Ok(())
 }
 
