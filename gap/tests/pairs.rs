@@ -4,7 +4,7 @@ use gap::diagnosis::Verdict;
 
 mod common;
 
-use common::{assert_explained, causes, drawn};
+use common::{assert_explained, causes, drawn, drawn_of_the_paper};
 
 #[test]
 #[ignore = "long: cargo xtask test --long"]
@@ -153,4 +153,13 @@ fn of_two_that_work_against_each_other_the_larger_one_leads() {
         (gain.closes, spring.closes)
     );
     assert!((gain.closes + spring.closes - diagnosis.gap.closed).abs() < 1e-9);
+}
+
+#[test]
+fn two_gains_on_two_axes_are_no_gauges_that_warmed_up_before() {
+    // Gauges that warm up within a second, long before the first recording, are gains as well, of twice as many numbers.
+    let diagnosis = drawn_of_the_paper(45454, 98, &["drive-gain", "sensor-gain"]);
+    assert_eq!(diagnosis.verdict, Verdict::Explained);
+    let axes: Vec<&[usize]> = causes(&diagnosis).into_iter().map(|(_, axes)| axes).collect();
+    assert_eq!(axes, [[2], [3]], "{:?}", causes(&diagnosis));
 }

@@ -126,7 +126,10 @@ fn instead(
         let is_better = if start_terms(model).iter().enumerate().any(goes) {
             ours < AS_DRIFT * theirs.max(0.0) + worth
         } else if other.terms.len() < all {
-            ours < theirs.max(0.0) + worth && nowhere_more(scene, [&other, model], axes, worth)
+            // Not what takes more numbers for the same: warmth that came and went before the first recording is a gain, on each axis of another kind.
+            other.numbers() <= model.numbers()
+                && ours < theirs.max(0.0) + worth
+                && nowhere_more(scene, [&other, model], axes, worth)
         } else {
             ours < CLEARLY_LESS * theirs
                 && theirs - ours > worth
