@@ -274,9 +274,8 @@ pub fn fit(
         let now = descent.cost();
         falls_fast = before - now > FAST * (before - effort.floor);
         let left = before - effort.floor;
-        let is_near = left < NEAR_NOISE * effort.floor;
-        let enough = effort.tolerance * left;
-        if before - now < if is_near { enough.min(NOISE_MARGIN) } else { enough }.max(1.0) {
+        let most = if left < NEAR_NOISE * effort.floor { NOISE_MARGIN } else { f64::INFINITY };
+        if before - now < (effort.tolerance * left).min(most).max(1.0) {
             break;
         }
         // Iterations take off less and less.

@@ -188,6 +188,7 @@ impl Search<'_> {
         if values == model.fit.values {
             return Ok(model);
         }
+        // A number more that noise could have asked for is none.
         let line = (self.noise + variety.leaves * left).min(model.fit.cost - NOISE_MARGIN);
         let effort = Effort { hopeless: model.fit.cost, ..effort };
         let fit = || self.fit_model(model.terms.clone(), values, effort);
