@@ -11,7 +11,6 @@ use rayon::prelude::*;
 use crate::Error;
 use crate::fitting::descent::Descent;
 use crate::fitting::knobs::{Knob, keep_laws};
-use crate::judge::ambiguity::NOISE_MARGIN;
 use crate::session::scene::{Channel, Scene, Stack, Wanted, dot};
 
 /// A fitted set of knobs.
@@ -35,10 +34,6 @@ pub struct Fit {
 
 /// Share of what is left that an iteration takes off while a fit is still on its way.
 const FAST: f64 = 0.3;
-
-/// Share of the noise that a fit leaves beyond it from which on it goes on until noise alone could decide: the noise is known to 2 % of its
-/// energy, so that a share of what is left says nothing there.
-const NEAR_NOISE: f64 = 0.02;
 
 /// Iterations like the last one that a fit is hoped to have in it: what iterations sum up to that each take off three quarters of the one before.
 const MOST_TO_COME: usize = 3;
@@ -273,9 +268,7 @@ pub fn fit(
         normal = matrix;
         let now = descent.cost();
         falls_fast = before - now > FAST * (before - effort.floor);
-        let left = before - effort.floor;
-        let most = if left < NEAR_NOISE * effort.floor { NOISE_MARGIN } else { f64::INFINITY };
-        if before - now < (effort.tolerance * left).min(most).max(1.0) {
+        if before - now < (effort.tolerance * (before - effort.floor)).max(1.0) {
             break;
         }
         // Iterations take off less and less.
