@@ -288,6 +288,7 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             }
         }
         "creep" => {
+            // A fit goes from one beginning of the growth to the other, but slowly.
             for (onset, sharp) in [(0.01, 1.0), (0.1, 1.0), (1.0, 1.0), (0.03, 0.0), (0.3, 0.0)] {
                 wanted.push(with(&[
                     ("per_decade", typical("per_decade")),

@@ -126,7 +126,7 @@ fn instead(
         let is_better = if start_terms(model).iter().enumerate().any(goes) {
             ours < AS_DRIFT * theirs.max(0.0) + worth
         } else if other.terms.len() < all {
-            // Not what takes more numbers for the same: warmth that came and went before the first recording is a gain, on each axis of another kind.
+            // Gauges that warmed up before the first recording are gains, of twice as many numbers.
             other.numbers() <= model.numbers()
                 && ours < theirs.max(0.0) + worth
                 && nowhere_more(scene, [&other, model], axes, worth)
