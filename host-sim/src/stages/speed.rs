@@ -39,12 +39,6 @@ impl EndSpeed {
         travel.abs() > (25.0 * least).max(0.01 * self.before.abs())
     }
 
-    /// Travel of the tick before.
-    #[inline]
-    pub(crate) fn before(self) -> f64 {
-        self.before
-    }
-
     /// Accept the travel of a tick.
     pub(crate) fn commit(&mut self, travel: f64) {
         self.before = travel;

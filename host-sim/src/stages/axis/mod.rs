@@ -110,7 +110,7 @@ impl AxisSim {
             capacitance: piezo.capacitance_f,
             strain_loss: piezo
                 .strain_loss
-                .map(|loss| StrainLossSim::new(loss, piezo.transformer_n_per_v, step_s)),
+                .map(|loss| StrainLossSim::new(loss, piezo.transformer_n_per_v, step_s, shape_s)),
             skew_per_c: piezo.skew_per_c,
             imprint_v: piezo.imprint_v,
             step_s,
@@ -249,9 +249,6 @@ impl AxisSim {
         self.next_position_m = self.mechanism.position_m() + self.expected_m();
         let step_s = self.step_s;
         self.forces.iter_mut().for_each(|force| force.begin(step_s));
-        if let Some(loss) = &mut self.strain_loss {
-            loss.begin();
-        }
         if !self.creep.is_empty() {
             (self.slow_v, self.slow_per_v) = self.creep.begin(self.transducer_v);
         }
@@ -286,7 +283,7 @@ impl AxisSim {
             self.solve_with_forces(free, per_volt, beta)
         };
         let driven = self.next_transducer_v * (1.0 + self.slow_per_v) + self.slow_v;
-        let lost_n = self.strain_loss.as_ref().map_or(0.0, |loss| loss.next_force_n);
+        let lost_n = self.strain_loss.as_ref().map_or(0.0, |loss| loss.next_force_n());
         self.next_force_n = self.transformer * driven + forces_n + lost_n + outside_n;
         self.next_position_m
     }
@@ -370,46 +367,31 @@ impl AxisSim {
         self.next_position_m = free_m + per_volt * self.next_transducer_v + beta * lost_n;
     }
 
-    /// Newton on the charge, with the loss taken by its tangent, inside a bracket; the force of the loss. The charge at zero volts falls
-    /// with the loss, and the loss grows with the charge: there is one answer. It begins and ends as [`Self::solve_with_forces`] does.
+    /// First with the loss held, which says how the charge goes without it; then with what comes of that, until the charge is where the loss
+    /// has it. The force of the loss.
     fn solve_with_loss(&mut self, mut loss: StrainLossSim, branch: &Branch, beta: f64) -> f64 {
-        let mut charge = loss.next_charge_c;
-        let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
-        let mut lost_n = 0.0;
-        let (mut force, mut slope) = loss.force(charge);
+        let per_newton_c = self.transformer * beta;
+        let charge_under = |sim: &mut Self, force_n: f64| {
+            let charge_at_zero_c = branch.charge_at_zero_c + per_newton_c * force_n;
+            let branch = Branch { charge_at_zero_c, ..*branch };
+            sim.next_transducer_v = sim.by_current.solve(&mut sim.elements, &branch);
+            branch.charge_at_zero_c + branch.capacitance_f * sim.next_transducer_v
+        };
+        let held_n = loss.held_n();
+        let held_c = charge_under(self, held_n);
+        let tangent = self.elements.tangent_towards(held_c >= self.elements.charge_c());
+        let mut drawn_c = per_newton_c / (1.0 + branch.capacitance_f * tangent);
+        let mut lost_n = held_n;
         for _ in 0..StrainLossSim::ROUNDS {
-            let room = 1.0 - self.transformer * beta * slope;
-            let lost = self.transformer * beta * (force - slope * charge);
-            let branch = Branch {
-                charge_at_zero_c: (branch.charge_at_zero_c + lost) / room,
-                capacitance_f: branch.capacitance_f / room,
-                ..*branch
-            };
-            self.next_transducer_v = self.by_current.solve(&mut self.elements, &branch);
-            let next = branch.charge_at_zero_c + branch.capacitance_f * self.next_transducer_v;
-            // Of the line that was solved.
-            lost_n = force + slope * (next - charge);
-            let there = loss.force(next);
-            let is_found = (self.transformer * beta * (there.0 - lost_n)).abs()
-                <= StrainLossSim::TOLERANCE_C
-                || next == charge;
-            if is_found {
-                charge = next;
+            lost_n = loss.solve(held_c, drawn_c);
+            let (change_n, expected_c) = (lost_n - held_n, held_c + drawn_c * (lost_n - held_n));
+            let charge_c = charge_under(self, lost_n);
+            loss.reached(charge_c);
+            if (charge_c - expected_c).abs() <= StrainLossSim::TOLERANCE_C {
                 break;
             }
-            if next > charge {
-                low = low.max(charge);
-            } else {
-                high = high.min(charge);
-            }
-            if next > low && next < high {
-                (charge, force, slope) = (next, there.0, there.1);
-            } else {
-                charge = 0.5 * (low + high);
-                (force, slope) = loss.force(charge);
-            }
+            drawn_c = (charge_c - held_c) / change_n;
         }
-        (loss.next_charge_c, loss.next_force_n) = (charge, lost_n);
         self.strain_loss = Some(loss);
         lost_n
     }
