@@ -15,6 +15,7 @@ use crate::locate;
 use crate::looks::{self, Judged, Looked, Looks, Nominal};
 use crate::picture;
 use crate::search::found::{self, Found};
+use crate::session::dead::{self, Dead};
 use crate::session::energy::Energies;
 use crate::session::scene::{Channel, Scene, Stack, Wanted};
 use crate::session::split::{hold_out_last_third_of_gap, split};
@@ -112,7 +113,13 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
     let ranges = crate::fitting::guess::ranges(&scene, rig, &nominal.raw)?;
     let mut looked = Looked { scene, nominal, found: None };
     let mut judged = Judged::default();
-    if looked.nominal.any_gap() {
+    let dead = if rig.output_map.is_none() {
+        dead::axes(&looked.scene, &looked.nominal.raw)
+    } else {
+        Vec::new()
+    };
+    notes.extend(dead.iter().map(Dead::note));
+    if looked.nominal.any_gap() && dead.is_empty() {
         past::tell(&mut looked.scene, rig, &effects, &ranges)?;
         let looks = Looks { rig, effects: &effects, ranges: &ranges, exclude: &options.exclude };
         (looked, judged) = looks.run(looked, &excess, by_blocks, &bar)?;
@@ -132,7 +139,7 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
     }
     let Judged { mut found, mut masked, was_found, .. } = judged;
     let Looked { scene, nominal, .. } = looked;
-    if !was_found && rig.axes.len() > 1 && nominal.any_gap() {
+    if !was_found && rig.axes.len() > 1 && nominal.any_gap() && dead.is_empty() {
         bar.set_message("looking at slow motion alone");
         let asked = (&ranges, &options.exclude[..]);
         (found, masked) = slow::cross_axis(&scene, rig, &effects, asked, &bar)?;

@@ -159,9 +159,8 @@ fn by_direction(gap_nm: [Option<f64>; 3]) -> String {
 /// Most instructive position channel: the largest gap, held out if that loses little.
 fn showcase<'a>(f: &'a Findings) -> Option<(usize, &'a Channel)> {
     let gap = |c: usize| {
-        f.before[c]
-            .as_ref()
-            .map_or(0.0, |r| r.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() / r.len() as f64)
+        let energy = |r: &Vec<f32>| r.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>();
+        f.before[c].as_ref().map_or(0.0, energy) / f.scene.channels[c].samples()
     };
     f.scene
         .channels
@@ -231,9 +230,10 @@ fn traces(page: Report, f: &Findings) -> Report {
         floor = sigma * 1.0e3 * (2.0 / track.rate_hz).sqrt();
     }
     spectra = spectra.hline(floor, "noise");
-    let role = if channel.held_out { "not fitted" } else { "fitted" };
+    let of =
+        if channel.held_out { "the recordings that were not fitted" } else { "all recordings" };
     let figures: Vec<(Box<dyn Figure>, String)> = vec![
-        (Box::new(traces), format!("{} ({role}): the recording with the largest gap.", track.file)),
+        (Box::new(traces), format!("{}: the largest gap of {of}.", track.file)),
         (Box::new(errors), "The same, difference only.".into()),
         (Box::new(loops), "A loop is memory or lag, a curve a static error, a fan a gain.".into()),
         (Box::new(spectra), "Twelfth-octave means; the line is the measured white noise.".into()),

@@ -77,7 +77,7 @@ pub(crate) fn causes_of(
                 let value = (0..term.places.len()).map(|q| whole.values(t, q)[k]).sum::<f64>() / n;
                 let sd =
                     (0..term.places.len()).map(|q| deviations[at + q * width + k]).sum::<f64>() / n;
-                parameters.insert(p.name.to_string(), parameter(value, sd, p.unit));
+                parameters.insert(p.name.to_string(), parameter(value, sd, (p.min, p.max), p.unit));
             } else {
                 for (q, place) in term.places.iter().enumerate().filter(|(q, _)| !is_silent(*q)) {
                     let name = match *place {
@@ -88,7 +88,12 @@ pub(crate) fn causes_of(
                     };
                     parameters.insert(
                         name,
-                        parameter(whole.values(t, q)[k], deviations[at + q * width + k], p.unit),
+                        parameter(
+                            whole.values(t, q)[k],
+                            deviations[at + q * width + k],
+                            (p.min, p.max),
+                            p.unit,
+                        ),
                     );
                 }
             }
@@ -135,7 +140,10 @@ pub(crate) fn causes_of(
     Ok((causes, claimed, stairs))
 }
 
-fn parameter(value: f64, sd: f64, unit: &str) -> Parameter {
+/// With the interval that is left within `range`, which the value is in.
+fn parameter(value: f64, sd: f64, range: (f64, f64), unit: &str) -> Parameter {
     let sd = if sd.is_finite() { sd } else { value.abs() };
-    Parameter { value, ci95: [value - 1.96 * sd, value + 1.96 * sd], unit: unit.into() }
+    let least = (value - 1.96 * sd).max(range.0.min(value));
+    let most = (value + 1.96 * sd).min(range.1.max(value));
+    Parameter { value, ci95: [least, most], unit: unit.into() }
 }

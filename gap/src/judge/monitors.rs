@@ -57,7 +57,7 @@ fn missing_v(scene: &Scene, stack: &Stack, axis: usize) -> Option<f64> {
         };
         energy += row.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() * channel.sigma.powi(2);
         floor += channel.raw_floor() * channel.sigma.powi(2);
-        samples += row.len() as f64;
+        samples += channel.samples();
     }
     let missing = energy - floor;
     (missing > BEYOND_NOISE * floor).then(|| (missing / samples).sqrt())

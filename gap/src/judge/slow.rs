@@ -102,7 +102,7 @@ pub(crate) fn band(scene: &Scene, before: &Stack, after: &Stack, left_out: usize
         }
         rate_hz = rate_hz.max(scene.tracks[channel.track].rate_hz);
         let nm2 = (channel.sigma * 1.0e3).powi(2);
-        samples += channel.range.len() as f64;
+        samples += channel.samples();
         for (sum, row) in sums.iter_mut().zip([b, a]) {
             let slow = low_pass(row, share);
             *sum += nm2 * slow.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>();

@@ -111,8 +111,8 @@ fn time_of(knob: &Knob) -> Option<(&'static dyn Effect, host_sim::effects::Place
 fn excess(scene: &Scene, stack: &Stack, axes: u32) -> f64 {
     let rows = stack.iter().zip(&scene.channels);
     rows.filter(|(_, c)| c.kind == Kind::Position && axes >> c.axis & 1 == 1)
-        .filter_map(|(row, _)| row.as_ref())
-        .map(|row| row.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() - row.len() as f64)
+        .filter_map(|(row, c)| Some((row.as_ref()?, c)))
+        .map(|(row, c)| row.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() - c.samples())
         .sum()
 }
 

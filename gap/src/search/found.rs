@@ -287,7 +287,7 @@ pub(crate) fn with_gap(
 ) -> Vec<usize> {
     let mut sizes: BTreeMap<usize, f64> = BTreeMap::new();
     for (channel, &excess) in scene.channels.iter().zip(excess) {
-        if include(channel) && excess > HAS_GAP * channel.range.len() as f64 {
+        if include(channel) && excess > HAS_GAP * channel.samples() {
             *sizes.entry(channel.track).or_default() += excess;
         }
     }

@@ -29,7 +29,9 @@ pub struct Channel {
     pub levels: Levels,
     /// Variance by which integrators may differ on what was measured, in units of `sigma` squared.
     pub(crate) of_integrators: f64,
-    /// Variance that nothing can explain, in units of `sigma` squared, band by band.
+    /// Share of the scored samples that were recorded: lost ones are zero in every residual, and hold neither gap nor noise.
+    pub present_share: f64,
+    /// Variance that nothing can explain, in units of `sigma` squared, band by band, over lost samples as well.
     pub unrepeatable: Vec<f64>,
     /// Weight of each band: one over the square root of its variance.
     pub weights: Vec<f32>,
@@ -54,9 +56,13 @@ impl Channel {
         range: std::ops::Range<usize>,
     ) -> Self {
         let levels = Levels::new(range.len());
-        let unrepeatable = floor::unrepeatable_levels(track, axis, kind, sigma, &levels);
-        let of_integrators = of_integrators(track, axis, kind, sigma, &range);
+        let present = track.present[range.clone()].iter().filter(|&&present| present).count();
+        let present_share = present.max(1) as f64 / range.len().max(1) as f64;
+        let mut unrepeatable = floor::unrepeatable_levels(track, axis, kind, sigma, &levels);
+        let of_integrators = present_share * of_integrators(track, axis, kind, sigma, &range);
+        // What was recorded weighs as much beside lost samples as without.
         let weights = unrepeatable.iter().map(|v| (1.0 / v.sqrt()) as f32).collect();
+        unrepeatable.iter_mut().for_each(|v| *v *= present_share);
         Self {
             track: track_index,
             axis,
@@ -65,6 +71,7 @@ impl Channel {
             range,
             levels,
             of_integrators,
+            present_share,
             unrepeatable,
             weights,
             memory: Vec::new(),
@@ -102,7 +109,8 @@ impl Channel {
         self.weights = power
             .iter()
             .zip(&self.unrepeatable)
-            .map(|(p, u)| (1.0 / (u + tolerance * tolerance * (p - u).max(0.0)).sqrt()) as f32)
+            .map(|(p, u)| u + tolerance * tolerance * (p - u).max(0.0))
+            .map(|variance| (self.present_share / variance).sqrt() as f32)
             .collect();
         self.orthonormalise();
     }
@@ -115,6 +123,11 @@ impl Channel {
         }
         self.kept_share = share_kept(fastest);
         self.orthonormalise();
+    }
+
+    /// Scored samples that were recorded.
+    pub fn samples(&self) -> f64 {
+        self.present_share * self.range.len() as f64
     }
 
     /// `true` where the unknown memory of the stack reaches into the scored part.

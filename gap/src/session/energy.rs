@@ -57,7 +57,7 @@ impl Energies {
                     before: energy(b),
                     after: energy(a),
                     floor: nm * floor * b.len() as f64,
-                    samples: b.len() as f64,
+                    samples: channel.present_share * b.len() as f64,
                 });
             }
         }

@@ -12,10 +12,12 @@
 //! | `work` | how much was simulated, and when that is enough |
 //! | `channel` | one measured quantity of one axis in one recording |
 //! | [`scene`] | whitened residuals: all of the above together |
+//! | `dead` | axes that do not move at all where they are driven |
 //! | [`energy`] | size of a gap in nanometres, with intervals |
 
 mod channel;
 pub(crate) mod coherent;
+pub(crate) mod dead;
 pub mod energy;
 pub mod floor;
 pub mod intake;

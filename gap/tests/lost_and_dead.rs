@@ -1,0 +1,76 @@
+//! Recordings that lost samples, and gauges that do not follow.
+
+mod common;
+
+use common::session;
+use gap::Options;
+use gap::diagnosis::Verdict;
+use host_sim::rig::Rig;
+use recording::Session;
+
+/// The session without the rows that `is_lost` (recording, row) says.
+fn without_rows(mut session: Session, is_lost: impl Fn(usize, usize) -> bool) -> Session {
+    for (nth, entry) in session.recordings.iter_mut().enumerate() {
+        let recording = &mut entry.recording;
+        let kept: Vec<usize> =
+            (0..recording.tick.len()).filter(|&row| !is_lost(nth, row)).collect();
+        recording.tick = kept.iter().map(|&row| recording.tick[row]).collect();
+        let pick = |column: &mut Vec<f32>| {
+            *column = kept.iter().map(|&row| column[row]).collect();
+        };
+        recording.drive_v.iter_mut().for_each(pick);
+        recording.monitor_v.iter_mut().flatten().for_each(pick);
+        recording.position_um.iter_mut().flatten().for_each(pick);
+        recording.flags.iter_mut().for_each(|flags| {
+            *flags = kept.iter().map(|&row| flags[row]).collect();
+        });
+    }
+    session
+}
+
+#[test]
+fn lost_samples_are_no_samples_without_a_gap() {
+    let rig = Rig::named("handley").expect("built in");
+    let mut other = rig.clone();
+    other.axes[1].mechanism.stiffness_n_per_m *= 1.2;
+    let whole = session(&other, |_, _, um| um);
+    // One row of ninety, which with the time after each loss is half of all.
+    let holed =
+        without_rows(session(&other, |_, _, um| um), |nth, row| (row * 7_919 + nth * 31) % 90 == 0);
+    let answer = |session: &Session| {
+        gap::diagnose(&rig, session, &Options::default()).expect("diagnosis").diagnosis
+    };
+    let (whole, holed) = (answer(&whole), answer(&holed));
+    eprintln!("{:?}\n{:?}", whole.gap, holed.gap);
+    for d in [&whole, &holed] {
+        assert_eq!(d.verdict, Verdict::Explained);
+        assert_eq!(d.causes[0].axes, [2]);
+        assert!((d.gap.after_nm / d.gap.floor_nm - 1.0).abs() < 0.03, "{:?}", d.gap);
+        assert!((d.gap.floor_nm - 4.0).abs() < 0.2, "{:?}", d.gap);
+        assert!(d.gap.closed < 1.001, "{:?}", d.gap);
+    }
+    let ratio = holed.gap.before_nm / whole.gap.before_nm;
+    assert!((ratio - 1.0).abs() < 0.05, "{ratio}");
+}
+
+#[test]
+fn a_gauge_that_does_not_follow_is_nobodys_effect() {
+    let rig = Rig::named("handley").expect("built in");
+    // Not connected, or frozen: with the noise of its amplifier, or without any.
+    for (rest_um, share) in [(0.0, 0.0), (3.7, 0.0), (0.0, 1.0e-3)] {
+        let still = |axis: usize, _: usize, um: f64| {
+            if axis == 1 { rest_um + share * um } else { um }
+        };
+        let mut session = session(&rig, still);
+        if share == 0.0 {
+            let recordings = session.recordings.iter_mut();
+            recordings
+                .filter_map(|e| e.recording.position_um[1].as_mut())
+                .for_each(|um| um.fill(rest_um as f32));
+        }
+        let d = gap::diagnose(&rig, &session, &Options::default()).expect("diagnosis").diagnosis;
+        assert_eq!(d.verdict, Verdict::Unexplained, "{rest_um}, {share}: {:?}", d.causes);
+        assert!(d.causes.is_empty());
+        assert!(d.notes.iter().any(|n| n.starts_with("Axis 2 does not move")), "{:?}", d.notes);
+    }
+}
