@@ -12,6 +12,7 @@ use recording::{Recording, Together};
 use crate::say::say;
 
 mod arrays;
+mod clock;
 mod table;
 
 /// Options of `flexstage import`.
@@ -108,7 +109,12 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     }
     together.publish()?;
     for (recording, path) in recordings.iter().zip(&paths) {
-        say!("{}: {} samples, {} axes", path.display(), recording.len(), recording.axes())?;
+        // What was made of the times: whoever knows the rate sees at once whether it is that.
+        let clock = args.time.as_ref().map_or_else(String::new, |_| {
+            let lost: u64 = recording.lost().iter().map(|hole| hole.ticks).sum();
+            format!(", {} Hz, {lost} lost", recording.meta.sample_rate_hz)
+        });
+        say!("{}: {} samples, {} axes{clock}", path.display(), recording.len(), recording.axes())?;
     }
     Ok(())
 }
@@ -215,6 +221,18 @@ mod tests {
         let recording = Recording::read(folder.path().join("b.parquet")).unwrap();
         assert_eq!(recording.tick, [0, 1, 2, 5, 6]);
         assert!((recording.meta.sample_rate_hz - 10.0).abs() < 1e-9);
+
+        // 3000 Hz with four decimals: the median step is 0.3 ms.
+        let row = |row: u32| format!("{:.4},{row},{row}\n", f64::from(row) / 3000.0);
+        let text: String = (0..5000).map(row).collect();
+        fs::write(folder.path().join("c.csv"), "time,u,y\n".to_owned() + &text).unwrap();
+        import(
+            folder.path(),
+            "--table @/c.csv --columns drive_v_1=u,position_um_1=y --time time --out @/c.parquet",
+        )
+        .unwrap();
+        let recording = Recording::read(folder.path().join("c.parquet")).unwrap();
+        assert_eq!((recording.meta.sample_rate_hz, recording.lost().len()), (3000.0, 0));
     }
 
     #[test]

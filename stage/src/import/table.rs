@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::{Context, bail, ensure};
 use recording::{Meta, Recording};
 
-use super::{Args, micrometres, volts};
+use super::{Args, clock, micrometres, volts};
 
 /// Splits a line of a table at its separators.
 fn fields(line: &str) -> Vec<&str> {
@@ -91,7 +91,10 @@ pub(super) fn read(args: &Args, path: &Path) -> anyhow::Result<Recording> {
         Ok(rows.iter().map(|row| row[index]).collect())
     };
     let (rate, tick) = match (&args.time, args.rate) {
-        (Some(which), _) => clock(&column(which)?, path)?,
+        (Some(which), _) => {
+            let source = clock::Source { file: path, column: which, first_row: first };
+            clock::clock(&column(which)?, &source)?
+        }
         (None, Some(rate)) => (rate, (0..rows.len() as u64).collect()),
         (None, None) => bail!("expected --rate (Hz) or --time (the column that holds it)"),
     };
@@ -144,23 +147,4 @@ pub(super) fn read(args: &Args, path: &Path) -> anyhow::Result<Recording> {
         "--columns: expected a position_um_K, found none"
     );
     Ok(recording)
-}
-
-/// Sample rate and sample numbers from times: the median step is a tick; longer ones are lost samples.
-fn clock(times: &[f64], path: &Path) -> anyhow::Result<(f64, Vec<u64>)> {
-    let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    steps.sort_by(f64::total_cmp);
-    let step = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
-    ensure!(
-        step > 0.0 && step.is_finite(),
-        "{}: --time: expected increasing seconds, found a median step of {step} s",
-        path.display()
-    );
-    // Over the whole length, so that a time printed with few digits still gives the rate.
-    let span = times[times.len() - 1] - times[0];
-    let ticks = (span / step).round().max(1.0);
-    let rate = ticks / span;
-    let tick =
-        times.iter().map(|time| ((time - times[0]) * rate).round().max(0.0) as u64).collect();
-    Ok((rate, tick))
 }
