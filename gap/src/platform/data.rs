@@ -49,6 +49,8 @@ pub struct Split {
     pub how: String,
 }
 
+/// Farthest position and deflection that a recording can hold, um: a metre. The platform is a few centimetres large.
+const FARTHEST_UM: f64 = 1.0e6;
 /// Fewest scored samples that a return must have.
 const MIN_SAMPLES: usize = 20;
 /// Held-out blocks of a single recording.
@@ -73,6 +75,11 @@ pub fn free_return_of(
             "key initial_position_um must be a number other than zero, found {initial_um}"
         ));
     }
+    if initial_um.abs() > FARTHEST_UM {
+        return fail(format!(
+            "key initial_position_um: expected micrometres from -{FARTHEST_UM} to {FARTHEST_UM}, found {initial_um:e}"
+        ));
+    }
     let first = recording.tick.first().copied().unwrap_or(0);
     let rate = recording.meta.sample_rate_hz;
     let time_s = recording.tick.iter().map(|tick| (tick - first) as f64 / rate).collect();
@@ -95,6 +102,13 @@ impl Return {
         let Some(position) = recording.position_um.first().and_then(Option::as_ref) else {
             return fail("column position_um_1 is missing".to_owned());
         };
+        // Also what is not scored: a wrong number there is a wrong file.
+        if let Some(row) = position.iter().position(|um| f64::from(um.abs()) > FARTHEST_UM) {
+            return fail(format!(
+                "column position_um_1, row {row}: expected micrometres from -{FARTHEST_UM} to {FARTHEST_UM}, found {:e}",
+                position[row]
+            ));
+        }
         let scored_from = recording.settle_rows();
         let scored = position.len().saturating_sub(scored_from);
         if scored < MIN_SAMPLES {

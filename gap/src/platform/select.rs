@@ -147,7 +147,7 @@ pub fn select(question: Question, nominal: &PlatformRig) -> Option<Selection> {
     while chain.len() < MOST {
         let now = chain.last().map_or(&start, |(_, fit)| fit).clone();
         let at_the_noise = !chain.is_empty() && question.at_the_noise(&now);
-        let mut candidates: Vec<(Effect, Fit)> = question
+        let candidates: Vec<(Effect, Fit)> = question
             .catalogue
             .iter()
             .copied()
@@ -166,12 +166,10 @@ pub fn select(question: Question, nominal: &PlatformRig) -> Option<Selection> {
                 })
                 .collect();
         }
-        let Some(least) = candidates.iter().map(|(_, fit)| fit.bic()).reduce(f64::min) else {
-            break;
-        };
+        let least = candidates.iter().map(|(_, fit)| fit.bic()).fold(f64::INFINITY, f64::min);
         // Of those that do as well, the first of the catalogue.
-        candidates.retain(|(_, fit)| fit.bic() < least + INDISTINGUISHABLE);
-        let (effect, better) = candidates.swap_remove(0);
+        let as_well = |(_, fit): &(Effect, Fit)| fit.bic() <= least + INDISTINGUISHABLE;
+        let Some((effect, better)) = candidates.into_iter().find(as_well) else { break };
         let gain = question.held_out_m(&now.model.rig).powi(2)
             - question.held_out_m(&better.model.rig).powi(2);
         if now.bic() - better.bic() < STRONG
