@@ -51,6 +51,8 @@ pub struct Split {
 
 /// Farthest position and deflection that a recording can hold, um: a metre. The platform is a few centimetres large.
 const FARTHEST_UM: f64 = 1.0e6;
+/// Share of the initial position by which the first positions contradict it.
+const CONTRADICTS: f64 = 0.5;
 /// Fewest scored samples that a return must have.
 const MIN_SAMPLES: usize = 20;
 /// Held-out blocks of a single recording.
@@ -118,13 +120,46 @@ impl Return {
                 recording.meta.settle_s
             ));
         }
-        Ok(Self {
+        let found = Self {
             file: file.clone(),
             time_s,
             position_m: position.iter().map(|um| f64::from(*um) * 1e-6).collect(),
             initial_m,
             start_s: recording.meta.start_s,
             scored_from,
+        };
+        if found.first_over_initial() < -CONTRADICTS {
+            return fail(format!(
+                "key initial_position_um is {:.1} and the first positions are about {:.0} um: expected the same sign; turn that of \
+                 initial_position_um, or of column position_um_1",
+                initial_m * 1e6,
+                found.first_m() * 1e6
+            ));
+        }
+        Ok(found)
+    }
+
+    /// Where the platform is at the release, as measured, m: one wrong sample does not count.
+    fn first_m(&self) -> f64 {
+        let mut first: Vec<f64> = self.position_m.iter().take(3).copied().collect();
+        first.sort_by(f64::total_cmp);
+        first.get(first.len() / 2).copied().unwrap_or(0.0)
+    }
+
+    fn first_over_initial(&self) -> f64 {
+        self.first_m() / self.initial_m
+    }
+
+    /// One line where the first positions are not those of a platform that was held at its initial one.
+    pub fn doubt(&self) -> Option<String> {
+        ((self.first_over_initial() - 1.0).abs() > CONTRADICTS).then(|| {
+            format!(
+                "{}: initial_position_um is {:.0}, but the first positions are about {:.0} um: check it, and that the recording begins \
+                 at the release.",
+                self.file,
+                self.initial_m * 1e6,
+                self.first_m() * 1e6
+            )
         })
     }
 

@@ -79,7 +79,7 @@ pub fn diagnose(
     let catalogue: Vec<Effect> = CATALOGUE.into_iter().filter(may_be_named).collect();
     let returns = data::returns(session)?;
     let noise: Vec<Noise> = returns.iter().map(noise::measure).collect();
-    let data = Data { returns: &returns, noise: &noise };
+    let data = Data::new(rig, &returns, &noise);
     let split = data::split(&returns);
     let all = Part::all(&returns);
     let floor = part_floor_m(&noise, &split.held_out);
@@ -101,6 +101,7 @@ pub fn diagnose(
     let verdict = verdict(&gap, &selection, &split, memory, &noise);
     let ambiguity = ambiguity(&selection, &found);
     let mut notes = session.notes.clone();
+    notes.extend(returns.iter().filter_map(Return::doubt));
     notes.extend(self::notes(data, &found, &selection, &all, &windows, memory, &gap));
     let diagnosis = Diagnosis {
         band: None,

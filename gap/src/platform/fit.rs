@@ -17,6 +17,12 @@ use super::{
 
 /// Step of the central differences in knob units (all of order one).
 const STEP: f64 = 1e-4;
+/// Radians of ringing over the longest return up to which a chain is followed step by step, and in multiples of what the rig as
+/// given rings. Platforms creep home; a fit that wanders off to hardly damped ones would take minutes for each of its steps.
+const MOST_RINGING_RAD: f64 = 1000.0;
+const MOST_RINGING: f64 = 2.0;
+/// Residual of a chain that is not followed, in deflections: worse than any that is.
+const WALL: f64 = 10.0;
 
 /// Returns and their noise.
 #[derive(Debug, Clone, Copy)]
@@ -25,6 +31,8 @@ pub struct Data<'a> {
     pub returns: &'a [Return],
     /// Noise of each.
     pub noise: &'a [Noise],
+    /// Fastest ringing that is followed step by step, rad/s.
+    most_ringing_rad_per_s: f64,
 }
 
 /// A model fitted to a part of the data.
@@ -51,7 +59,29 @@ pub struct Estimate {
     pub ci95: [f64; 2],
 }
 
-impl Data<'_> {
+impl<'a> Data<'a> {
+    /// Returns of a platform that is known as `nominal`.
+    pub fn new(nominal: &PlatformRig, returns: &'a [Return], noise: &'a [Noise]) -> Self {
+        let longest_s = returns.iter().filter_map(|r| r.time_s.last()).fold(1e-9, |a, b| b.max(a));
+        let most_ringing_rad_per_s =
+            (MOST_RINGING_RAD / longest_s).max(MOST_RINGING * ringing_rad_per_s(nominal));
+        Self { returns, noise, most_ringing_rad_per_s }
+    }
+
+    /// Whether a chain can be followed in reasonable time.
+    fn follows(&self, rig: &PlatformRig) -> bool {
+        rig.is_linear() || ringing_rad_per_s(rig) <= self.most_ringing_rad_per_s
+    }
+
+    /// Residuals of a chain that is not followed: an optimiser turns back.
+    fn wall(&self, part: &Part) -> DVector<f64> {
+        let parts = part.rows.iter().flat_map(|(index, rows)| {
+            let residual = WALL * self.returns[*index].initial_m / self.noise[*index].rms_m;
+            std::iter::repeat_n(residual, rows.len())
+        });
+        DVector::from_iterator(part.len(), parts)
+    }
+
     /// What the rig predicts for the rows of a part, minus what was measured, in metres, part by part.
     pub fn residuals_m(
         &self,
@@ -104,6 +134,16 @@ impl Data<'_> {
     }
 }
 
+/// Fastest ringing of a lightly damped mass on its own spring, rad/s; 0 if none rings.
+fn ringing_rad_per_s(rig: &PlatformRig) -> f64 {
+    let springs = rig.stiffness_n_per_m();
+    let chain = rig.masses.iter().zip(springs).map(|(m, k)| (m.mass_kg, k, m.damping_n_s_per_m));
+    chain
+        .filter(|(mass, stiffness, damping)| *damping < 2.0 * (stiffness * mass).sqrt())
+        .map(|(mass, stiffness, _)| (stiffness / mass).sqrt())
+        .fold(0.0, f64::max)
+}
+
 struct Problem<'a> {
     data: Data<'a>,
     part: &'a Part,
@@ -125,7 +165,11 @@ impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_> {
     }
 
     fn residuals(&self) -> Option<DVector<f64>> {
-        self.data.whitened(&self.model.at(self.values.as_slice()), self.part)
+        let rig = self.model.at(self.values.as_slice());
+        if !self.data.follows(&rig) {
+            return Some(self.data.wall(self.part));
+        }
+        self.data.whitened(&rig, self.part)
     }
 
     fn jacobian(&self) -> Option<DMatrix<f64>> {
@@ -146,7 +190,7 @@ pub fn fit(data: Data, model: &Model, part: &Part, starts: &[Vec<f64>]) -> Optio
         });
     }
     let mut best: Option<(f64, Vec<f64>)> = None;
-    for start in starts {
+    for start in starts.iter().filter(|start| data.follows(&model.at(start))) {
         let problem = Problem { data, part, model, values: DVector::from_column_slice(start) };
         let (problem, _) = LevenbergMarquardt::new().with_patience(30).minimize(problem);
         let chi2 = data.chi2(&model.at(problem.values.as_slice()), part);

@@ -44,7 +44,7 @@ pub struct Named {
 pub fn identify(rig: &PlatformRig, session: &Session) -> Result<Identified, PlatformDataError> {
     let returns = data::returns(session)?;
     let noise: Vec<Noise> = returns.iter().map(noise::measure).collect();
-    let data = Data { returns: &returns, noise: &noise };
+    let data = Data::new(rig, &returns, &noise);
     let part = Part::all(&returns);
     let unusable =
         |message: &str| PlatformDataError { file: rig.name.clone(), message: message.to_owned() };
@@ -76,6 +76,7 @@ pub fn identify(rig: &PlatformRig, session: &Session) -> Result<Identified, Plat
         ));
     }
     lines.extend(tell::statements(data, &refit, &part));
+    lines.extend(returns.iter().filter_map(Return::doubt));
     let scale = 1e9;
     Ok(Identified {
         rig: refit.model.rig,
