@@ -261,8 +261,8 @@ fn read(path: &Path, sample_rate_hz: Option<f64>) -> Result<Recording> {
     let recording = if is_text { csv::read(path, sample_rate_hz)? } else { parquet::read(path)? };
     let own = recording.meta.sample_rate_hz;
     match sample_rate_hz {
-        // As good as a rate that was printed with few digits.
-        Some(given) if (own / given - 1.0).abs() > 1e-6 => Err(Error::invalid(
+        // As good as a rate that was printed with few digits; NaN is no rate at all.
+        Some(given) if given.is_nan() || (own / given - 1.0).abs() > 1e-6 => Err(Error::invalid(
             path,
             format!(
                 "the file itself says a sample rate of {own} Hz, --sample-rate {given} Hz: expected the same (it may be left out)"

@@ -74,6 +74,9 @@ fn what_it_holds_decides() {
         assert_eq!(Recording::read_csv(at(name), 100.0).unwrap(), example(), "{name}");
         let message = refused(Recording::read_csv(at(name), 250.0), name);
         assert!(message.contains("100 Hz") && message.contains("250 Hz"), "{message}");
+        // What is compared with NaN is never unequal.
+        let message = refused(Recording::read_csv(at(name), f64::NAN), name);
+        assert!(message.contains("100 Hz") && message.contains("NaN Hz"), "{message}");
     }
     assert_eq!(Session::read(folder.path(), None).unwrap().recordings.len(), 2);
 }

@@ -19,7 +19,7 @@ use truth::effects::EFFECTS;
 use truth::faults::Kind;
 use truth::score::{Answer, Judged, Outcome, score, summarise};
 
-use crate::number::number;
+use crate::number::{number, whole};
 use crate::say::say;
 
 mod options;
@@ -28,19 +28,19 @@ mod options;
 #[derive(clap::Args)]
 pub struct Args {
     /// Number of cases (with --leave-one-out: of each effect).
-    #[arg(long, default_value_t = 20)]
+    #[arg(long, default_value_t = 20, value_parser = whole(0..=1_000_000))]
     cases: u64,
     /// Seed: the same seed draws the same cases.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = whole(0..=u64::MAX))]
     seed: u64,
     /// Number of the first case (to look at one).
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, value_parser = whole(0..=1_000_000_000_000))]
     first: u64,
     /// Smallest gap, in multiples of the gauges' noise (rms over axes).
-    #[arg(long, default_value_t = 3.0, allow_negative_numbers = true, value_parser = number(0.001..=1.0e6, ""))]
+    #[arg(long, default_value_t = 3.0, value_parser = number(0.001..=1.0e6, ""))]
     min_ratio: f64,
     /// Largest gap, in multiples of the gauges' noise.
-    #[arg(long, default_value_t = 60.0, allow_negative_numbers = true, value_parser = number(0.001..=1.0e6, ""))]
+    #[arg(long, default_value_t = 60.0, value_parser = number(0.001..=1.0e6, ""))]
     max_ratio: f64,
     /// Kinds of sessions.
     #[arg(long, value_enum, default_value_t = SessionKind::Mixed)]
@@ -56,7 +56,7 @@ pub struct Args {
         long,
         value_delimiter = ',',
         default_value = "0.2,0.45,0.2,0.15",
-        allow_negative_numbers = true,
+        allow_hyphen_values = true,
         value_parser = number(0.0..=1.0e9, "")
     )]
     weights: Vec<f64>,

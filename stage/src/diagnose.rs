@@ -20,7 +20,7 @@ pub struct Args {
     #[arg(long)]
     out: PathBuf,
     /// Sample rate of CSV recordings, Hz.
-    #[arg(long)]
+    #[arg(long, value_parser = crate::number::rate())]
     sample_rate: Option<f64>,
     /// Leave an effect out of the catalogue (may be given several times).
     #[arg(long)]

@@ -14,7 +14,7 @@ pub struct Args {
     /// File to write (.csv or .parquet); never overwritten.
     to: PathBuf,
     /// Sample rate of a CSV that does not carry it, Hz.
-    #[arg(long)]
+    #[arg(long, value_parser = crate::number::rate())]
     sample_rate: Option<f64>,
 }
 

@@ -25,7 +25,7 @@ pub struct Args {
     #[arg(long)]
     for_control: bool,
     /// Sample rate of CSV recordings, Hz.
-    #[arg(long)]
+    #[arg(long, value_parser = crate::number::rate())]
     sample_rate: Option<f64>,
 }
 

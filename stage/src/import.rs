@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{bail, ensure};
 use recording::{Recording, Together};
 
+use crate::number::{number, rate};
 use crate::say::say;
 
 mod arrays;
@@ -40,7 +41,7 @@ pub struct Args {
     #[arg(long, requires = "table")]
     rows: Option<String>,
     /// Samples per second.
-    #[arg(long)]
+    #[arg(long, value_parser = rate())]
     rate: Option<f64>,
     /// Unit of the voltages: V, mV or kV.
     #[arg(long, default_value = "V")]
@@ -49,10 +50,10 @@ pub struct Args {
     #[arg(long, default_value = "um")]
     position_unit: String,
     /// Seconds at the start that only settle the stack's memory; default: the first of several periods.
-    #[arg(long)]
+    #[arg(long, value_parser = number(0.0..=1.0e9, " s"))]
     settle: Option<f64>,
     /// Period of the excitation (s); default: that of the array, if it has periods.
-    #[arg(long)]
+    #[arg(long, value_parser = number(1.0e-8..=1.0e9, " s"))]
     period: Option<f64>,
     /// What was done.
     #[arg(long, default_value = "import")]

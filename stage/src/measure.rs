@@ -41,10 +41,10 @@ enum What {
         #[arg(long, default_value_t = 1, value_parser = axis)]
         axis: usize,
         /// Voltage around which is measured.
-        #[arg(long, default_value_t = 45.0, allow_negative_numbers = true, value_parser = volts())]
+        #[arg(long, default_value_t = 45.0, value_parser = volts())]
         bias_v: f64,
         /// Peak of the excitation, V.
-        #[arg(long, default_value_t = 8.0, allow_negative_numbers = true, value_parser = peak_volts())]
+        #[arg(long, default_value_t = 8.0, value_parser = peak_volts())]
         amplitude_v: f64,
     },
     /// Reference to position in closed loop with the settings on the board.
@@ -56,10 +56,10 @@ enum What {
         #[arg(long, default_value_t = 1, value_parser = axis)]
         axis: usize,
         /// Position around which is measured.
-        #[arg(long, default_value_t = 6.0, allow_negative_numbers = true, value_parser = micrometres())]
+        #[arg(long, default_value_t = 6.0, value_parser = micrometres())]
         center_um: f64,
         /// Peak of the excitation, um.
-        #[arg(long, default_value_t = 0.5, allow_negative_numbers = true, value_parser = number(0.001..=1000.0, " um"))]
+        #[arg(long, default_value_t = 0.5, value_parser = number(0.001..=1000.0, " um"))]
         amplitude_um: f64,
     },
     /// Step of the reference in closed loop.
@@ -68,16 +68,16 @@ enum What {
         #[arg(long, default_value_t = 1, value_parser = axis)]
         axis: usize,
         /// From, um.
-        #[arg(long, default_value_t = 5.0, allow_negative_numbers = true, value_parser = micrometres())]
+        #[arg(long, default_value_t = 5.0, value_parser = micrometres())]
         from_um: f64,
         /// To, um.
-        #[arg(long, default_value_t = 6.0, allow_negative_numbers = true, value_parser = micrometres())]
+        #[arg(long, default_value_t = 6.0, value_parser = micrometres())]
         to_um: f64,
     },
     /// Position noise of all axes as the stage stands.
     Noise {
         /// Length, s.
-        #[arg(long, default_value_t = 5.0, allow_negative_numbers = true, value_parser = number(0.1..=3600.0, " s"))]
+        #[arg(long, default_value_t = 5.0, value_parser = number(0.1..=3600.0, " s"))]
         seconds: f64,
     },
 }

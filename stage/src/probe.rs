@@ -27,7 +27,6 @@ pub struct Args {
     #[arg(
         long,
         default_value_t = 99.0,
-        allow_negative_numbers = true,
         value_parser = number(LOWEST_MAX_V..=1000.0, " V")
     )]
     max_v: f64,

@@ -19,7 +19,7 @@ pub struct Args {
     #[arg(required_unless_present = "recover")]
     file: Option<PathBuf>,
     /// Length on the sample clock, s; without it until ctrl-C.
-    #[arg(long, allow_negative_numbers = true, value_parser = number(0.001..=1.0e7, " s"))]
+    #[arg(long, value_parser = number(0.001..=1.0e7, " s"))]
     seconds: Option<f64>,
     /// Free text stored with the recording.
     #[arg(long, default_value = "recording")]

@@ -23,7 +23,7 @@ pub struct Args {
     #[arg(long)]
     out: PathBuf,
     /// Rate of a CSV recording, Hz.
-    #[arg(long)]
+    #[arg(long, value_parser = crate::number::rate())]
     sample_rate: Option<f64>,
 }
 

@@ -28,10 +28,10 @@ pub struct Args {
     #[arg(long, default_value_t = 1, value_parser = axis)]
     axis: usize,
     /// Voltage around which is measured.
-    #[arg(long, default_value_t = 45.0, allow_negative_numbers = true, value_parser = volts())]
+    #[arg(long, default_value_t = 45.0, value_parser = volts())]
     bias_v: f64,
     /// Peak of the excitation, V.
-    #[arg(long, default_value_t = 8.0, allow_negative_numbers = true, value_parser = peak_volts())]
+    #[arg(long, default_value_t = 8.0, value_parser = peak_volts())]
     amplitude_v: f64,
     /// Tune on a rig file (from `identify` or `diagnose`) instead of a measurement of the stage; the feedforward is then the rig's.
     #[arg(long, value_name = "RIG.toml")]

@@ -16,7 +16,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE", conflicts_with_all = ["serial", "connect", "virtual_board"])]
     replay: Option<PathBuf>,
     /// Sample rate of a CSV recording, Hz.
-    #[arg(long)]
+    #[arg(long, value_parser = crate::number::rate())]
     sample_rate: Option<f64>,
     /// Seconds of full-rate samples kept in memory.
     #[arg(long, default_value_t = 620.0, value_parser = number(1.0..=36_000.0, " s"))]

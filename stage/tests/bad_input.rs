@@ -225,7 +225,7 @@ fn columns_that_cannot_be() {
     }
     fs::write(folder.join("r.csv"), rows(&[("0", "1"), ("1", "1")])).unwrap();
     for (rate, words) in
-        [("0", ["sample", "0"]), ("nan", ["sample", "NaN"]), ("1e12", ["sample", "1"])]
+        [("0", ["sample", "0"]), ("nan", ["sample", "nan"]), ("1e12", ["sample", "1"])]
     {
         let arguments = [
             "replay",
