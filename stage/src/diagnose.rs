@@ -37,12 +37,13 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     if args.out.exists() && !args.out.is_dir() {
         bail!("{}: expected a folder for the answer, found a file", args.out.display());
     }
-    let session = Session::read(&args.session, args.sample_rate)?;
     // Before the work, not after it.
     for name in ANSWER {
-        let target = args.out.join(name);
-        recording::check_target(&target)?;
-        no_input(&target, inputs(&args.rig, &session))?;
+        crate::output::file_in_new_folders(&args.out.join(name))?;
+    }
+    let session = Session::read(&args.session, args.sample_rate)?;
+    for name in ANSWER {
+        no_input(&args.out.join(name), inputs(&args.rig, &session))?;
     }
     let options = gap::Options { exclude: args.exclude, progress: true };
     let (diagnosis, rig, report) = match rig {

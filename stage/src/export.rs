@@ -26,6 +26,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         args.to.display()
     );
     recording::check_name(&args.to)?;
+    crate::output::file(&args.to)?;
     let recording = match args.sample_rate {
         Some(rate) => Recording::read_csv(&args.from, rate)?,
         None => Recording::read(&args.from)?,

@@ -15,6 +15,10 @@ pub fn file_in_new_folders(path: &Path) -> anyhow::Result<()> {
     recording::check_target(path)?;
     let mut folder = parent(path);
     while !folder.exists() && folder != parent(folder) {
+        if folder.is_symlink() {
+            let (path, name) = (path.display(), folder.display());
+            bail!("{path}: cannot be written: expected a folder {name}, found a link to nothing");
+        }
         folder = parent(folder);
     }
     takes_files(folder, path)
@@ -30,6 +34,9 @@ fn takes_files(folder: &Path, path: &Path) -> anyhow::Result<()> {
     let (path, name) = (path.display(), folder.display());
     if folder.exists() && !folder.is_dir() {
         bail!("{path}: cannot be written: expected a folder {name}, found a file");
+    }
+    if !folder.exists() {
+        bail!("{path}: cannot be written: expected a folder {name}, found no such folder");
     }
     let tried = tempfile::tempfile_in(folder).map(drop);
     tried.with_context(|| {

@@ -1,8 +1,8 @@
-//! `identify` and `replay` for rigs of `kind = "platform"` (second paper).
+//! `identify` for rigs of `kind = "platform"` (second paper).
 
 use std::path::Path;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use host_sim::platform::PlatformRig;
 use recording::{Recording, Session};
 
@@ -34,15 +34,4 @@ pub fn identify(
         say!("{line}")?;
     }
     Ok(())
-}
-
-/// `flexstage replay` for a platform.
-pub fn replay(
-    rig: &PlatformRig,
-    recording: &Recording,
-    file: &Path,
-    out: &Path,
-) -> anyhow::Result<()> {
-    let predicted = gap::platform::replay(rig, recording, file)?;
-    predicted.write(out).with_context(|| "the simulated recording was not written")
 }

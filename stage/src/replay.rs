@@ -11,6 +11,9 @@ use anyhow::{Context, bail};
 use host_sim::{AnyRig, Axes, Input, Rig};
 use recording::Recording;
 
+/// Beyond a metre and a megavolt no stage or platform goes, um and V.
+const FARTHEST: f32 = 1.0e6;
+
 /// Options of `flexstage replay`.
 #[derive(clap::Args)]
 pub struct Args {
@@ -32,20 +35,44 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let rig = AnyRig::load(&args.rig)?;
     // Before the work, not after it.
     recording::check_name(&args.out)?;
+    crate::output::file(&args.out)?;
     crate::diagnose::no_input(&args.out, [args.rig.as_path(), &args.recording])?;
     let recording = match args.sample_rate {
         Some(rate) => Recording::read_csv(&args.recording, rate)?,
         None => Recording::read(&args.recording)?,
     };
-    let rig = match rig {
-        AnyRig::Stage(rig) => rig,
-        AnyRig::Platform(rig) => {
-            return crate::platform::replay(&rig, &recording, &args.recording, &args.out);
+    let predicted = match rig {
+        AnyRig::Stage(rig) => {
+            crate::platform::refuse_free_return(&recording, &args.recording)?;
+            predict(&rig, &recording, &args.recording)?
         }
+        AnyRig::Platform(rig) => gap::platform::replay(&rig, &recording, &args.recording)?,
     };
-    crate::platform::refuse_free_return(&recording, &args.recording)?;
-    let predicted = predict(&rig, &recording, &args.recording)?;
-    predicted.write(&args.out)?;
+    stays_in_bounds(&predicted, &args)?;
+    predicted.write(&args.out).context("the simulated recording was not written")
+}
+
+/// What leaves all bounds in a simulation is the fault of its rig, and no recording.
+fn stays_in_bounds(predicted: &Recording, args: &Args) -> anyhow::Result<()> {
+    let channels =
+        [(&predicted.position_um, "position", "um"), (&predicted.monitor_v, "monitor", "V")];
+    for (channels, what, unit) in channels {
+        for (axis, channel) in channels.iter().enumerate() {
+            let out = |value: &f32| !value.is_finite() || value.abs() > FARTHEST;
+            let channel = channel.as_deref().unwrap_or(&[]);
+            if let Some(row) = channel.iter().position(out) {
+                bail!(
+                    "{}: its simulation leaves all bounds: {what} of axis {} at {:e} {unit}, {:.4} s into {}, expected up to {FARTHEST:e} \
+                     {unit}: check the numbers in the rig file",
+                    args.rig.display(),
+                    axis + 1,
+                    channel[row],
+                    predicted.time_s(row) - predicted.time_s(0),
+                    args.recording.display()
+                );
+            }
+        }
+    }
     Ok(())
 }
 

@@ -2,6 +2,8 @@
 
 mod common;
 
+use std::path::Path;
+
 use common::{json, ok, refused, run, text};
 
 #[test]
@@ -170,6 +172,46 @@ fn files_that_cannot_be_written_are_refused_before_the_work() {
     }
     assert_eq!(ok(board.run(&["config", "get"])), before, "nothing was applied");
     // The session is not even looked for.
-    let said = refused(run(&["identify", "--rig", &rig, &session, "--out", &below]));
-    assert!(said.contains(&below) && said.contains("found a file"), "{said}");
+    for command in ["identify", "diagnose", "replay"] {
+        let below = if command == "replay" { path("rig.toml/x.parquet") } else { below.clone() };
+        let said = refused(run(&[command, "--rig", &rig, &session, "--out", &below]));
+        assert!(said.contains(&below) && said.contains("found a file"), "{command}: {said}");
+    }
+    #[cfg(unix)]
+    {
+        std::os::unix::fs::symlink("gone", folder.path().join("link")).unwrap();
+        let said = refused(run(&["diagnose", "--rig", &rig, &session, "--out", &path("link")]));
+        assert!(said.contains("found a link to nothing"), "{said}");
+    }
+}
+
+/// Not the output file: it has never been written.
+#[test]
+fn a_simulation_that_leaves_all_bounds_is_the_fault_of_the_rig() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| text(&folder.path().join(name)).to_owned();
+    let good = host_sim::Rig::named("handley").unwrap().to_toml();
+    let mut recording = recording::Recording::empty(recording::Meta::new("step", 10_000.0), 3);
+    recording.tick = (0..400).collect();
+    for axis in 0..3 {
+        recording.drive_v[axis] = (0..400).map(|row| if row < 100 { 0.0 } else { 50.0 }).collect();
+        recording.position_um[axis] = Some(vec![0.0; 400]);
+    }
+    let (recorded, out) = (path("r.parquet"), path("p.parquet"));
+    recording.write(&recorded).unwrap();
+    let key = "transformer_n_per_v = 7.1";
+    assert!(good.contains(key), "{good}");
+    for (name, value) in [("large.toml", "1e9"), ("huge.toml", "1e30")] {
+        std::fs::write(
+            path(name),
+            good.replacen(key, &format!("transformer_n_per_v = {value}"), 1),
+        )
+        .unwrap();
+        let said = refused(run(&["replay", "--rig", &path(name), &recorded, "--out", &out]));
+        for word in [name, "position of axis 1", " s into ", "rig file"] {
+            assert!(said.contains(word), "{name}: `{word}` expected in {said}");
+        }
+        assert!(!said.contains("p.parquet"), "{said}");
+    }
+    assert!(!Path::new(&out).exists());
 }
