@@ -28,6 +28,7 @@ pub mod crash;
 pub mod critical;
 pub mod device;
 pub mod flash;
+pub mod halts;
 pub mod outputs;
 pub mod priorities;
 pub mod pump;

@@ -32,7 +32,7 @@ use static_cell::StaticCell;
 
 use super::device::{self, Board, stream_number};
 use super::records::Consumer;
-use super::{pump, reader};
+use super::{halts, pump, reader};
 use crate::link::{
     MAX_FRAME, USB_ENDPOINT_IN, USB_ENDPOINT_OUT, USB_MANUFACTURER, USB_PACKET_BYTES, USB_PRODUCT,
     USB_PRODUCT_ID, USB_VENDOR_ID,
@@ -120,7 +120,7 @@ pub async fn run(
     static REPLY_CHANNEL: StaticCell<Channel<'static, NoopRawMutex, ReplyFrame>> =
         StaticCell::new();
 
-    let driver = usb::Driver::new(peripheral, Irqs, dp, dm);
+    let driver = halts::Driver(usb::Driver::new(peripheral, Irqs, dp, dm));
     let mut builder = Builder::new(
         driver,
         config(),

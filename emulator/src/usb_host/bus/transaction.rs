@@ -14,7 +14,7 @@ impl Host {
         &mut self.toggles.last_mut().expect("just pushed").1
     }
 
-    /// Bulk data toggles start over (SET_CONFIGURATION, CLEAR_FEATURE endpoint halt).
+    /// Bulk data toggles start over (SET_CONFIGURATION).
     pub fn reset_toggles(&mut self) {
         self.toggles.clear();
     }
@@ -32,6 +32,7 @@ impl Host {
         let toggle = if pipe == Pipe::Control { t.toggle } else { bulk_toggle };
         let mut flipped = false;
         let mut ended = None;
+        let mut cleared = None;
         let answer = match t.stage {
             Stage::Setup => device.setup(address, &t.setup).map(|()| {
                 t.toggle = true;
@@ -71,7 +72,10 @@ impl Host {
                     flipped = true;
                     t.data.extend(data);
                     match (t.stage, t.pipe) {
-                        (Stage::StatusIn, _) => ended = Some(Status::Done),
+                        (Stage::StatusIn, _) => {
+                            ended = Some(Status::Done);
+                            cleared = halt_cleared(&t.setup);
+                        }
                         (_, Pipe::Control) if short || t.data.len() >= t.want => {
                             t.stage = Stage::StatusOut;
                             t.toggle = true;
@@ -97,6 +101,10 @@ impl Host {
         if flipped && pipe != Pipe::Control {
             *self.toggle(pipe) ^= true;
         }
+        if let Some(endpoint) = cleared {
+            // Whether it was halted or not (USB 2.0 9.4.5).
+            self.toggles.retain(|(pipe, _)| *pipe != endpoint);
+        }
         if let Some(status) = ended {
             self.complete(index, status, now);
         }
@@ -108,5 +116,14 @@ impl Host {
         let Some(Transfer { id, data, .. }) = queue.pop_front() else { return false };
         self.completions.push_back(Completion { id, pipe: *pipe, status, data, at });
         true
+    }
+}
+
+/// The bulk pipe to an endpoint that a CLEAR_FEATURE(ENDPOINT_HALT) names.
+fn halt_cleared(setup: &[u8; 8]) -> Option<Pipe> {
+    match setup {
+        [0x02, 1, 0, 0, address, 0, 0, 0] if address & 0x80 != 0 => Some(Pipe::In(address & 0x0f)),
+        [0x02, 1, 0, 0, address, 0, 0, 0] => Some(Pipe::Out(*address)),
+        _ => None,
     }
 }
