@@ -3,6 +3,8 @@
 //! # Design
 //! RM0440 section 3.3. Code runs from bank 1, so erasing and programming bank 2 never stalls a fetch (read-while-write, section
 //! 3.3.1), and every wait is a task's sleep. Slot 0 is pages 0 and 1 of bank 2, slot 1 pages 4 and 5: neighbours share no page.
+//! Code is read from bank 1 while bank 2 is written, which may corrupt the data cache (erratum ES0430 2.2.2): the cache is off from before an
+//! operation until after it, and reset before it is on again, which RM0440 section 3.3.4 wants after every change anyhow.
 //! A double word whose programming was cut short may fail the error correction when it is read; that raises an NMI, which counts
 //! it ([`crash::FLASH_ERRORS`]), and the slot reads as damaged.
 //!
@@ -54,11 +56,13 @@ impl Bank2 {
         }
         // Errors of the past would make every operation fail: write-1-to-clear.
         pac::FLASH.sr().write_value(pac::flash::regs::Sr(0xc3fb));
-        if pac::FLASH.cr().read().lock() { Err(MemoryError) } else { Ok(Unlocked(())) }
+        pac::FLASH.acr().modify(|w| w.set_dcen(false));
+        let unlocked = Unlocked(());
+        if pac::FLASH.cr().read().lock() { Err(MemoryError) } else { Ok(unlocked) }
     }
 }
 
-/// Flash that locks itself again.
+/// Flash that locks itself again, and the data cache that is off meanwhile.
 struct Unlocked(());
 
 impl Unlocked {
@@ -79,15 +83,13 @@ impl Unlocked {
 impl Drop for Unlocked {
     fn drop(&mut self) {
         pac::FLASH.cr().write(|w| w.set_lock(true));
+        // An operation that never ends leaves the cache off: slower, but right.
+        if !pac::FLASH.sr().read().bsy() {
+            pac::FLASH.acr().modify(|w| w.set_dcrst(true));
+            pac::FLASH.acr().modify(|w| w.set_dcrst(false));
+            pac::FLASH.acr().modify(|w| w.set_dcen(true));
+        }
     }
-}
-
-/// Forgets what the data cache holds of bank 2 (RM0440 section 3.3.4: after an erase or a program).
-fn flush_data_cache() {
-    pac::FLASH.acr().modify(|w| w.set_dcen(false));
-    pac::FLASH.acr().modify(|w| w.set_dcrst(true));
-    pac::FLASH.acr().modify(|w| w.set_dcrst(false));
-    pac::FLASH.acr().modify(|w| w.set_dcen(true));
 }
 
 impl Memory for Bank2 {
@@ -121,7 +123,6 @@ impl Memory for Bank2 {
             pac::FLASH.cr().write(|w| w.set_per(false));
             result?;
         }
-        flush_data_cache();
         Ok(())
     }
 
@@ -147,7 +148,6 @@ impl Memory for Bank2 {
         });
         let result = flash.finish().await;
         pac::FLASH.cr().write(|w| w.set_pg(false));
-        flush_data_cache();
         result
     }
 }

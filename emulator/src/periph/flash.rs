@@ -4,6 +4,8 @@
 //! programmed by two 32-bit stores with PG set, once per erase; pages of 2 KiB are erased by PER, BKER, PNB, STRT.
 //! A double word that a power cut left half programmed, or a page half erased, fails its ECC: reading it sets ECCD
 //! and raises NMI (RM0440 3.3.2). Reading or writing bank 2 while it is busy stalls the core until it is done.
+//! The data cache is not modelled, but the rules for it are checked: off from before a change until after it (erratum
+//! ES0430 2.2.2), reset before it is on again, and reset only while it is off (RM0440 3.7.1).
 //! Left out: fast programming, mass erase of bank 1, option bytes (OPTR reads as delivered, dual bank), protection,
 //! single-bit ECC correction, wear.
 
@@ -30,6 +32,8 @@ const PGSERR: u32 = 1 << 7;
 const ERRORS: u32 = 0xc3fa;
 const BSY: u32 = 1 << 16;
 const LOCK: u32 = 1 << 31;
+const DCEN: u32 = 1 << 10;
+const DCRST: u32 = 1 << 12;
 
 /// One change of the array, in the order they happened: power can be cut at each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,6 +67,8 @@ pub struct Flash {
     latch: Option<(u32, u32)>,
     busy_until: Time,
     finishing: bool,
+    /// The array changed since the data cache was reset.
+    stale: bool,
     /// Everything done since power-on of the emulator.
     pub journal: Vec<(Time, Operation)>,
     /// Cut the power at operation number `.0` of the journal.
@@ -89,6 +95,7 @@ impl Default for Flash {
             latch: None,
             busy_until: 0,
             finishing: false,
+            stale: false,
             journal: Vec::new(),
             cut: None,
             power_lost: false,
@@ -254,6 +261,10 @@ impl Flash {
     fn begin(&mut self, operation: Operation, now: Time, takes: Time) -> Option<Cut> {
         let number = self.journal.len();
         self.journal.push((now, operation));
+        self.stale = true;
+        if self.acr & DCEN != 0 {
+            self.violations.push(format!("{operation:?} with the data cache on (ES0430 2.2.2)"));
+        }
         self.busy_until = now + takes;
         self.finishing = true;
         let cut = self.cut.filter(|(n, _)| *n == number).map(|(_, c)| c);
@@ -282,6 +293,22 @@ impl Flash {
             || self.sr & ERRORS != 0 && self.cr & 1 << 25 != 0
     }
 
+    fn set_acr(&mut self, value: u32) {
+        if value & DCRST != 0 {
+            if (self.acr | value) & DCEN != 0 {
+                self.violations.push("DCRST while the data cache is on".into());
+            } else if self.finishing {
+                self.violations.push("DCRST before the operation has ended".into());
+            } else {
+                self.stale = false;
+            }
+        }
+        if value & DCEN != 0 && self.stale {
+            self.violations.push("data cache on again, but not reset since flash changed".into());
+        }
+        self.acr = value;
+    }
+
     /// Register read.
     pub fn read(&self, offset: u32) -> u32 {
         match offset {
@@ -298,7 +325,7 @@ impl Flash {
     /// Register write.
     pub fn write(&mut self, offset: u32, value: u32, now: Time) {
         match offset {
-            0x00 => self.acr = value,
+            0x00 => self.set_acr(value),
             0x08 => {
                 self.key_step = match (self.key_step, value) {
                     (0, 0x4567_0123) => 1,
@@ -337,6 +364,7 @@ mod tests {
 
     fn unlocked() -> Flash {
         let mut f = Flash::default();
+        f.write(0x00, f.acr & !DCEN, 0);
         f.write(0x08, 0x4567_0123, 0);
         f.write(0x08, 0xcdef_89ab, 0);
         f
@@ -378,6 +406,39 @@ mod tests {
         f.store(0, 2, 0, 0);
         assert_ne!(f.read(0x10) & SIZERR, 0);
         assert_eq!(f.bytes()[..8], [0xff; 8]);
+    }
+
+    #[test]
+    fn the_data_cache_is_off_meanwhile_and_reset_after() {
+        let mut f = unlocked();
+        put(&mut f, 16, 1, 0);
+        f.update(PROGRAM);
+        f.write(0x00, DCRST, PROGRAM);
+        f.write(0x00, 0, PROGRAM);
+        f.write(0x00, DCEN, PROGRAM);
+        assert!(f.violations.is_empty(), "{:?}", f.violations);
+        let broken = |wrong: fn(&mut Flash)| {
+            let mut f = unlocked();
+            wrong(&mut f);
+            f.violations.len()
+        };
+        let on_meanwhile = |f: &mut Flash| {
+            f.write(0x00, DCEN, 0);
+            put(f, 16, 1, 0);
+        };
+        let not_reset = |f: &mut Flash| {
+            put(f, 16, 1, 0);
+            f.update(PROGRAM);
+            f.write(0x00, DCEN, PROGRAM);
+        };
+        let reset_too_soon = |f: &mut Flash| {
+            put(f, 16, 1, 0);
+            f.write(0x00, DCRST, 0);
+        };
+        let reset_while_on = |f: &mut Flash| f.write(0x00, DCEN | DCRST, 0);
+        for wrong in [on_meanwhile as fn(&mut Flash), not_reset, reset_too_soon, reset_while_on] {
+            assert_eq!(broken(wrong), 1);
+        }
     }
 
     #[test]
