@@ -3,10 +3,10 @@
 use anyhow::{Context, Result, bail};
 use unicorn_engine::RegisterARM as R;
 
-use super::exception::set;
+use super::exception::{get, set};
 use super::image::FLASH;
 use super::{FLASH_BYTES, Machine};
-use crate::time::MICROSECOND;
+use crate::time::{MICROSECOND, Time};
 
 /// Part of the name of `core::panicking::panic(message, &location)`, in both manglings.
 const CORE_PANIC: &str = "9panicking5panic";
@@ -21,6 +21,7 @@ impl Machine {
         for _ in 0..100_000 {
             let soc = self.soc();
             if soc.ipsr >= 16 && soc.nvic.priority_of(soc.ipsr) >= TASKS {
+                self.derailed_from = get(&self.uc, R::PC) & !1;
                 set(&mut self.uc, R::PC, pc | 1);
                 return Ok(());
             }
@@ -60,5 +61,22 @@ impl Machine {
         let last = FLASH_BYTES - 2;
         self.flash.set_u16(last, 0xe7fe);
         self.derail(FLASH + last as u32)
+    }
+
+    /// Fault injection: a task spins for so long, and no other task runs meanwhile; then it goes on where it was.
+    pub fn hold_task(&mut self, time: Time) -> Result<()> {
+        // As `derail` finds it.
+        self.derail_task_into_loop()?;
+        let (spinning, task) = (get(&self.uc, R::PC) & !1, self.soc().ipsr);
+        let place = self.derailed_from;
+        self.run_for(time)?;
+        for _ in 0..100_000 {
+            if self.soc().ipsr == task && get(&self.uc, R::PC) & !1 == spinning {
+                set(&mut self.uc, R::PC, place | 1);
+                return Ok(());
+            }
+            self.run_for(MICROSECOND)?;
+        }
+        bail!("the task does not spin any more")
     }
 }

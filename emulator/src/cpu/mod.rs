@@ -109,6 +109,8 @@ pub struct Machine {
     pub stops: u64,
     /// Nothing wakes the core but an interrupt: the last handler has returned with SCR.SLEEPONEXIT set.
     asleep: bool,
+    /// Where the last task was that was sent elsewhere.
+    derailed_from: u32,
 }
 
 fn uc<T>(what: &str, r: std::result::Result<T, uc_error>) -> Result<T> {
@@ -175,6 +177,7 @@ impl Machine {
             resets: Vec::new(),
             stops: 0,
             asleep: false,
+            derailed_from: 0,
         };
         m.power_on(None);
         Ok(m)

@@ -61,6 +61,20 @@ fn tasks_that_hang_end_softly() {
 }
 
 #[test]
+fn tasks_that_pause_are_found_and_the_drives_return() {
+    let Some(image) = image() else { return };
+    let mut b = raised(&image, 43);
+    // Longer than the tick is patient, and shorter than the watchdog.
+    b.machine.hold_task(700 * MILLISECOND).unwrap();
+    let status = b.status().unwrap();
+    assert_eq!(b.machine.resets.len(), 1);
+    let (faults, step) = (Flags(status.flags).faults(), b.board.0.borrow().fastest_step_v);
+    assert_eq!(faults, Faults::STARVED, "{:?}", faults.names().collect::<Vec<_>>());
+    assert!(Flags(status.flags).is_parked());
+    assert!(step > 0.0 && step <= SOFT_STEP_V, "a step of {step} V");
+}
+
+#[test]
 fn a_restart_ends_softly_where_the_drives_are_parked_up() {
     let Some(image) = image() else { return };
     let mut b = bench(&image, 44);
