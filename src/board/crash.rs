@@ -2,7 +2,8 @@
 //!
 //! # Design
 //! A record in `.uninit` RAM, which start-up code leaves alone (SRAM keeps its content through every reset but power loss; a
-//! magic number and a CRC tell content from noise). Whoever crashes outside the tick asks the tick for a soft return of the
+//! magic number and a CRC tell content from noise). The message stays as it is until the next one, and says of which run it is: the next start reports
+//! it, and no later one. Whoever crashes outside the tick asks the tick for a soft return of the
 //! drives and waits for it before the reset; a HardFault, which even the tick cannot interrupt, returns them itself.
 //!
 //! # Limits
@@ -33,6 +34,8 @@ struct Kept {
     crc: u32,
     length: u32,
     text: [u8; CRASH_TEXT],
+    /// `restarts` of the run that left the message.
+    run: u32,
     restarts: u32,
     restarts_check: u32,
     dfu: u32,
@@ -104,7 +107,8 @@ pub fn take_report() -> Report {
         let restarts = if lost_power || check != !before { 0 } else { before.wrapping_add(1) };
         (&raw mut (*kept).restarts).write_volatile(restarts);
         (&raw mut (*kept).restarts_check).write_volatile(!restarts);
-        if lost_power {
+        // The runs are counted anew: a message from before would come up again.
+        if restarts == 0 {
             (&raw mut (*kept).magic).write_volatile(0);
         }
         Report { reset_flags, restarts: restarts as u16, has_message: !message().is_empty() }
@@ -117,7 +121,7 @@ pub fn message() -> String<CRASH_TEXT> {
     let mut out = String::new();
     let mut text = [0; CRASH_TEXT];
     // SAFETY: any bit pattern is a valid integer; nobody writes while a program that has not crashed runs.
-    let (magic, crc, length) = unsafe {
+    let (magic, crc, length, is_of_last_run) = unsafe {
         let kept = kept();
         // One by one: the whole array at once is a load and a store for each byte of it, 2.3 KiB of code.
         let mut from = (&raw const (*kept).text).cast::<u8>();
@@ -129,10 +133,13 @@ pub fn message() -> String<CRASH_TEXT> {
             (&raw const (*kept).magic).read_volatile(),
             (&raw const (*kept).crc).read_volatile(),
             (&raw const (*kept).length).read_volatile() as usize,
+            (&raw const (*kept).run).read_volatile().wrapping_add(1)
+                == (&raw const (*kept).restarts).read_volatile(),
         )
     };
     if let Some(bytes) = text.get(..length)
         && magic == MAGIC
+        && is_of_last_run
         && crc32(bytes) == crc
         && let Ok(text) = core::str::from_utf8(bytes)
     {
@@ -156,6 +163,7 @@ fn keep(message: &str) {
             to = to.add(1);
         }
         (&raw mut (*kept).length).write_volatile(bytes.len() as u32);
+        (&raw mut (*kept).run).write_volatile((&raw const (*kept).restarts).read_volatile());
         (&raw mut (*kept).crc).write_volatile(crc32(bytes));
         (&raw mut (*kept).magic).write_volatile(MAGIC);
     }

@@ -184,6 +184,36 @@ fn a_panic_is_reported_after_the_reset() {
     assert!(message.contains("src/board/somewhere.rs:123"), "{message}");
 }
 
+#[test]
+fn a_crash_is_of_the_last_run_only() {
+    let Some(image) = image() else { return };
+    let mut b = bench(&image, 1);
+    // A start before the crash, so that it is not the first run that ends with it.
+    for (run, ends) in ["reboot", "crash", "reboot", "reboot", "crash", "crash", "power", "reboot"]
+        .into_iter()
+        .enumerate()
+    {
+        let resets = b.machine.resets.len();
+        match ends {
+            "crash" => b.machine.panic("index out of bounds", "src/somewhere.rs", 1).unwrap(),
+            // Off for so short a time that RAM forgets nothing.
+            "power" => b.machine.reset(ResetCause::PowerOn),
+            _ => {
+                b.command(&Command::Reboot).unwrap();
+            }
+        }
+        b.run_until(5 * SECOND, "restart", |b| b.machine.resets.len() > resets).unwrap();
+        back(&mut b);
+        let has_crashed = ends == "crash";
+        let what = format!("run {run} ended by {ends}");
+        assert_eq!(b.identify().unwrap().has_crash_report != 0, has_crashed, "{what}");
+        let Reply::Crash(crash) = b.command(&Command::Crash).unwrap() else { panic!("{what}") };
+        assert_eq!(!crash.message.is_empty(), has_crashed, "{what}: {:?}", crash.message);
+    }
+    let said = b.machine.rtt.lines.iter().filter(|l| l.text.contains("the last run crashed"));
+    assert_eq!(said.count(), 3);
+}
+
 /// Waits for the restart; what it reports, and that the loop works again.
 fn crash_report(b: &mut Bench) -> String {
     b.run_until(5 * SECOND, "restart", |b| b.machine.resets.len() > 1).unwrap();
