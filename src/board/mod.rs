@@ -14,6 +14,7 @@
 use defmt_rtt as _;
 use embassy_executor::InterruptExecutor;
 use embassy_stm32::peripherals::{IWDG, PC6, PC7};
+use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_stm32::{Peri, interrupt};
 use static_cell::StaticCell;
 
@@ -127,9 +128,9 @@ pub fn run() -> ! {
     }
 }
 
-/// Peripherals of the tasks at the lowest priority.
+/// What the tasks at the lowest priority need.
 struct Rest {
-    watchdog: Peri<'static, IWDG>,
+    watchdog: IndependentWatchdog<'static, IWDG>,
     state: Peri<'static, PC6>,
     fault: Peri<'static, PC7>,
 }
@@ -137,10 +138,13 @@ struct Rest {
 /// Everything up to the running tick and USB. Not inlined, so that the stack it takes is free again afterwards.
 #[inline(never)]
 fn start() -> Rest {
+    // First, so that whatever never ends from here on is ended: a crystal that dies while embassy waits for it, and a panic, which waits for the
+    // drives by the cycle counter (longer while the clock is slow).
+    let watchdog = tasks::start_watchdog();
+    timebase::start_cycle_counter();
     let report = crash::take_report();
     let (p, has_crystal) = clocks::start();
     priorities::set();
-    timebase::start_cycle_counter();
     defmt::info!(
         "flexstage {=u8}.{=u8}.{=u8}, reset flags {=u8:#x}, restart {=u16}",
         VERSION[0],
@@ -203,7 +207,7 @@ fn start() -> Rest {
         Ok(task) => usb.spawn(task),
         Err(_) => defmt::error!("the USB task could not start"),
     }
-    Rest { watchdog: p.IWDG, state: p.PC6, fault: p.PC7 }
+    Rest { watchdog, state: p.PC6, fault: p.PC7 }
 }
 
 /// The settings of the last save, or the defaults; what must be said about them.

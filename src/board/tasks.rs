@@ -12,18 +12,25 @@ use super::{crash, device, pump, tick};
 use crate::{Flags, State};
 
 /// Timeout of the independent watchdog. Longer than the patience of the tick with the tasks (250 ms) and the longest return that settings
-/// may ask for (0.6 s, `Config::build`) together, so that the drives are parked before it bites, if the tick still runs.
+/// may ask for (0.6 s, `Config::build`) together, so that the drives are parked before it bites, if the tick still runs. Start-up takes a tenth of it at most.
 const WATCHDOG_US: u32 = 1_000_000;
 /// Time for the last reply to leave before a restart.
 const FAREWELL: Duration = Duration::from_millis(50);
 
-/// Pets the independent watchdog (RM0440 section 43) while the tick, the USB tasks and this executor run; restarts on request.
+/// Starts the independent watchdog (RM0440 section 43), once; it needs no clock but its own.
+pub fn start_watchdog() -> IndependentWatchdog<'static, IWDG> {
+    // SAFETY: `embassy_stm32::init`, which hands out the peripherals, waits for clocks that the watchdog is to watch; nobody takes what it has of
+    // this one.
+    let mut watchdog = IndependentWatchdog::new(unsafe { IWDG::steal() }, WATCHDOG_US);
+    watchdog.unleash();
+    watchdog
+}
+
+/// Pets the watchdog while the tick, the USB tasks and this executor run; restarts on request.
 ///
 /// Each side watches the other: the tick returns the drives when this task's heartbeat stops.
 #[embassy_executor::task]
-pub async fn watch(watchdog: Peri<'static, IWDG>) {
-    let mut watchdog = IndependentWatchdog::new(watchdog, WATCHDOG_US);
-    watchdog.unleash();
+pub async fn watch(mut watchdog: IndependentWatchdog<'static, IWDG>) {
     let mut ticker = Ticker::every(Duration::from_millis(20));
     let mut before = (0, 0);
     loop {

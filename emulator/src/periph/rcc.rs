@@ -26,6 +26,8 @@ pub struct Rcc {
     words: [u32; 0x28],
     /// Crystal on the board.
     pub hse_hz: u64,
+    /// It dies when its ready flag has been seen so often; reset or not, it stays dead.
+    pub hse_dies_after: Option<u32>,
 }
 
 impl Rcc {
@@ -43,7 +45,7 @@ impl Rcc {
             ResetCause::Software => 1 << 28 | 1 << 26,
             ResetCause::Watchdog => 1 << 29 | 1 << 26,
         };
-        Rcc { words, hse_hz }
+        Rcc { words, hse_hz, hse_dies_after: None }
     }
 
     fn word(&self, offset: u32) -> u32 {
@@ -108,12 +110,30 @@ impl Rcc {
         self.word(*enable) >> bit & 1 != 0
     }
 
+    /// Whether a crystal that is on says so.
+    fn crystal_runs(&mut self) -> bool {
+        if self.word(0) & 1 << 16 == 0 {
+            return false;
+        }
+        match &mut self.hse_dies_after {
+            None => true,
+            Some(0) => false,
+            Some(left) => {
+                *left -= 1;
+                true
+            }
+        }
+    }
+
     /// Register read.
-    pub fn read(&self, offset: u32) -> u32 {
+    pub fn read(&mut self, offset: u32) -> u32 {
         let v = self.word(offset);
         match offset {
             // HSIRDY, HSERDY, PLLRDY follow their switches.
-            0x00 => v | (v & 1 << 8) << 2 | (v & 1 << 16) << 1 | (v & 1 << 24) << 1,
+            0x00 => {
+                let crystal = if self.crystal_runs() { v & 1 << 16 } else { 0 };
+                v | (v & 1 << 8) << 2 | crystal << 1 | (v & 1 << 24) << 1
+            }
             0x08 => v & !0xc | (v & 3) << 2,
             // LSERDY, LSIRDY, HSI48RDY
             0x90 | 0x94 | 0x98 => v | (v & 1) << 1,

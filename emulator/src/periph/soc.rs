@@ -157,8 +157,9 @@ impl Soc {
 
     /// All registers to their reset values; flash, host and board stay.
     pub fn reset(&mut self, cause: ResetCause) {
-        let hse = self.rcc.hse_hz;
-        self.rcc = Rcc::new(cause, hse);
+        let Rcc { hse_hz, hse_dies_after, .. } = self.rcc;
+        self.rcc = Rcc::new(cause, hse_hz);
+        self.rcc.hse_dies_after = hse_dies_after;
         self.nvic = Nvic::default();
         self.flash.reset();
         self.tim = Self::timers();

@@ -1,9 +1,11 @@
 //! The image boots as the reference manual wants, ticks exactly, and closes the loop.
 
 use emulator::bench::Bench;
+use emulator::periph::ResetCause;
 use emulator::periph::nvic::exception::irq;
 use emulator::time::{CYCLE, MICROSECOND, MILLISECOND, SECOND, TICK, milliseconds};
 use flexstage::State;
+use flexstage::link::identity::self_test;
 use flexstage::link::{Fields, Profile};
 
 use crate::common::{armed, bench, hold, image};
@@ -32,6 +34,19 @@ fn boots_to_170_mhz_with_outputs_parked_first() {
     }
     println!("boot log:\n{}", b.log_tail(20));
     println!("registers without a model: {:x?}", b.machine.soc().plain_registers);
+}
+
+#[test]
+fn a_crystal_that_dies_during_start_up_is_replaced() {
+    let Some(image) = image() else { return };
+    let mut b = Bench::handley(image, 1).unwrap();
+    // It says once that it is ready, and never again: embassy waits for it without end.
+    b.machine.soc_mut().rcc.hse_dies_after = Some(1);
+    b.enumerate().unwrap();
+    let resets: Vec<_> = b.machine.resets.iter().map(|(_, cause)| *cause).collect();
+    assert_eq!(resets, [ResetCause::PowerOn, ResetCause::Watchdog]);
+    assert_eq!(b.identify().unwrap().self_test, self_test::CRYSTAL);
+    b.arm().unwrap();
 }
 
 #[test]
