@@ -42,6 +42,7 @@ pub struct Controller<M = [Multisines; AXES]> {
     waited: u32,
     /// The loop closes at this tick: memories start from the present.
     closing: bool,
+    /// Every drive has been brought back since the loop was last closed.
     parked: bool,
 }
 
@@ -164,6 +165,8 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
                 self.state = State::Arming;
                 self.arming = config.guard.arming_ticks;
                 self.closing = true;
+                // Until the drives have been brought back: several commands may come before the same tick.
+                self.parked = false;
                 Ok(())
             }
             _ => Err(Refusal::AlreadyArmed),

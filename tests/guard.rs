@@ -4,7 +4,7 @@ mod common;
 
 use common::Bench;
 use flexstage::settings::AxisSettings;
-use flexstage::{Command, Faults, Generator, GeneratorSettings, Settings, State};
+use flexstage::{Command, Faults, Generator, GeneratorSettings, Refusal, Settings, State};
 
 /// A stage that follows to 1 nm or so, without a model or feedback that would answer the faults of a gauge.
 fn armed(following_error_um: f32) -> Bench {
@@ -72,6 +72,29 @@ fn seldom_glitches_are_forgiven() {
     }
     assert_eq!(bench.controller.faults(), Faults::NONE);
     assert_eq!(bench.controller.state(), State::Hold);
+}
+
+#[test]
+fn a_loop_that_was_just_opened_does_not_close_before_the_drives_are_back() {
+    type Open = fn(&mut Bench);
+    let ways: [Open; 2] = [
+        |b| b.controller.command(&b.config, Command::Disarm).unwrap(),
+        |b| {
+            b.controller.trip(Faults::CONVERTER);
+            b.controller.command(&b.config, Command::ClearFaults).unwrap();
+        },
+    ];
+    for open in ways {
+        let mut bench = holding();
+        assert!(bench.drive_v[0] > 30.0);
+        // All before the same tick.
+        open(&mut bench);
+        let again = bench.controller.command(&bench.config, Command::Arm);
+        assert_eq!(again, Err(Refusal::NotParked));
+        assert_eq!(bench.tick().flags.state(), State::Off);
+        assert!(bench.controller.command(&bench.config, Command::Arm).is_err());
+        bench.arm();
+    }
 }
 
 /// Ticks with the code of one gauge frozen at what it is, until a fault or for `ticks`.

@@ -24,6 +24,9 @@ pub static REBOOT: AtomicU8 = AtomicU8::new(0);
 /// [`STREAM_IS_ON`], the profile in bit 8 and the fields below. Only tasks of the USB executor touch it.
 static STREAM: AtomicU32 = AtomicU32::new(0);
 const STREAM_IS_ON: u32 = 1 << 15;
+/// Orders to open the loop that have acted ahead of their turn and are still to be answered: until then nothing closes it, whatever stands
+/// before them. Only the reader's task touches it.
+pub static STOPS: AtomicU32 = AtomicU32::new(0);
 /// The first tick of the stream that is on.
 pub static STREAM_START: AtomicU32 = AtomicU32::new(0);
 
@@ -194,6 +197,12 @@ impl Device for Board {
     async fn control(&mut self, command: Command) -> Result<u32, Refusal> {
         // A restart waits for its reply to leave, and nothing should begin until then.
         if REBOOT.load(Ordering::Acquire) != 0 && matches!(command, Command::Arm) {
+            return Err(Refusal::Busy);
+        }
+        // The host has already said that the loop is to be open.
+        if STOPS.load(Ordering::Relaxed) != 0
+            && matches!(command, Command::Arm | Command::Start { .. })
+        {
             return Err(Refusal::Busy);
         }
         if self.identity.self_test & !crate::link::identity::self_test::TOLERABLE != 0

@@ -3,11 +3,12 @@
 //! # Design
 //! A command may take its time, and must wait for the answer to the one before it to leave, which takes for ever where the host
 //! does not read. Meanwhile the reader goes on taking packets and keeps them ([`AHEAD_BYTES`]), for one reason: a packet that ends with an order to
-//! open the loop ([`ends_with_disarm`]) acts at the next tick, whatever comes before it. It is answered when its turn comes. With nothing before
-//! it, it is a command like others, whose answer names the very tick.
+//! open the loop ([`ends_with_disarm`]) acts at the next tick, whatever comes before it. It is answered when its turn comes, and until then what
+//! comes before it closes no loop ([`STOPS`]). With nothing before it, it is a command like others, whose answer names the very tick.
 
 use core::future::{Future, poll_fn};
 use core::pin::pin;
+use core::sync::atomic::Ordering;
 use core::task::{Context, Poll};
 
 use embassy_stm32::peripherals::USB;
@@ -17,7 +18,7 @@ use embassy_sync::zerocopy_channel::Sender;
 use embassy_usb::driver::{Endpoint, EndpointOut};
 use static_cell::StaticCell;
 
-use super::device::Board;
+use super::device::{Board, STOPS};
 use super::tick;
 use super::usb::ReplyFrame;
 use crate::link::message::{DISARM_BYTES, ends_with_disarm};
@@ -28,6 +29,8 @@ type OutEndpoint = usb::Endpoint<'static, USB, usb::Out>;
 
 /// Room for packets that have been read ahead, each with a byte for its length: 54 short commands, or 15 whole packets.
 const AHEAD_BYTES: usize = 1_024;
+/// In the byte with a packet's length: it has opened the loop.
+const HAS_STOPPED: u8 = 0x80;
 
 /// Packets from the host that wait, in order.
 struct Ahead {
@@ -56,10 +59,12 @@ impl Ahead {
                 Poll::Pending => return,
                 Poll::Ready(Ok(read)) => {
                     let has_others = is_busy || self.start < self.end || read > DISARM_BYTES;
+                    *length = read as u8;
                     if has_others && place.get(..read).is_some_and(ends_with_disarm) {
+                        *length |= HAS_STOPPED;
+                        count_stops(1);
                         tick::stop();
                     }
-                    *length = read as u8;
                     self.end += 1 + read;
                 }
                 Poll::Ready(Err(_)) => self.is_gone = true,
@@ -67,15 +72,19 @@ impl Ahead {
         }
     }
 
-    /// Moves the oldest packet to a place of its own; its length.
-    fn take(&mut self, packet: &mut [u8; USB_PACKET_BYTES]) -> Option<usize> {
+    /// Moves the oldest packet to a place of its own; its length, and whether it has opened the loop.
+    fn take(&mut self, packet: &mut [u8; USB_PACKET_BYTES]) -> Option<(usize, bool)> {
         let waiting = self.bytes.get(self.start..self.end)?;
-        let (length, rest) = waiting.split_first()?;
-        let length = usize::from(*length);
+        let (first, rest) = waiting.split_first()?;
+        let length = usize::from(first & !HAS_STOPPED);
         packet.get_mut(..length)?.copy_from_slice(rest.get(..length)?);
         self.start += 1 + length;
-        Some(length)
+        Some((length, first & HAS_STOPPED != 0))
     }
+}
+
+fn count_stops(change: i32) {
+    STOPS.store(STOPS.load(Ordering::Relaxed).wrapping_add_signed(change), Ordering::Relaxed);
 }
 
 /// Commands from the host.
@@ -96,18 +105,19 @@ pub async fn read(
         endpoint.wait_enabled().await;
         deframer.end_of_transfer();
         (ahead.start, ahead.end, ahead.is_gone) = (0, 0, false);
+        STOPS.store(0, Ordering::Relaxed);
         'host: loop {
-            let length = poll_fn(|context| {
+            let packet_taken = poll_fn(|context| {
                 // The next command has to wait where an answer has not left.
                 ahead.read(&mut endpoint, context, replies.is_full());
                 match ahead.take(&mut packet) {
                     _ if ahead.is_gone => Poll::Ready(None),
                     None => Poll::Pending,
-                    length => Poll::Ready(length),
+                    taken => Poll::Ready(taken),
                 }
             })
             .await;
-            let Some(length) = length else { break };
+            let Some((length, has_stopped)) = packet_taken else { break };
             let mut taken = 0;
             while taken < length {
                 taken += deframer.feed(packet.get(taken..length).unwrap_or_default());
@@ -146,6 +156,9 @@ pub async fn read(
             }
             if length < USB_PACKET_BYTES {
                 deframer.end_of_transfer();
+            }
+            if has_stopped {
+                count_stops(-1);
             }
         }
     }

@@ -114,7 +114,7 @@ pub struct Shown {
     pub heartbeat: AtomicU32,
     config: AtomicPtr<Config>,
     has_table: AtomicBool,
-    /// What the next tick does ahead of all orders: [`STOP`], [`RETURN`], or nothing.
+    /// What the next tick does whatever is ordered: [`STOP`], [`RETURN`], or nothing.
     urgent: AtomicU8,
 }
 
@@ -192,7 +192,7 @@ pub fn use_table() {
     SHOWN.has_table.store(true, Ordering::Release);
 }
 
-/// The host wants the loop open: the next tick opens it, whatever orders wait.
+/// The host wants the loop open: the next tick opens it, and the ones after it until none of the orders waits that were given before.
 pub fn stop() {
     // Not instead of what a crash wants.
     let _ = SHOWN.urgent.compare_exchange(0, STOP, Ordering::Release, Ordering::Relaxed);
@@ -356,7 +356,11 @@ impl State {
     fn intervene(&mut self) {
         let urgent = SHOWN.urgent.load(Ordering::Relaxed);
         if urgent == STOP {
-            SHOWN.urgent.store(0, Ordering::Relaxed);
+            self.assume_lengths();
+            // An order that still waits may be one to close it: the next tick opens it again, before any drive has moved.
+            if self.orders.is_empty() {
+                SHOWN.urgent.store(0, Ordering::Relaxed);
+            }
             self.controller.disarm();
         }
         let is_starved = self.silent_ticks > TASK_PATIENCE || urgent == RETURN;

@@ -6,9 +6,9 @@ use emulator::time::{MICROSECOND, MILLISECOND, SECOND};
 use flexstage::generator::Multisine;
 use flexstage::link::message::{Command, Reply};
 use flexstage::link::{Fields, Profile, Sample};
-use flexstage::{Flags, GeneratorSettings};
+use flexstage::{Flags, GeneratorSettings, State};
 
-use crate::common::{armed, bench, image};
+use crate::common::{armed, bench, hold, image};
 
 const ON: Command = Command::StreamOn { fields: Fields::RECORDING, profile: Profile::Packed };
 
@@ -184,6 +184,73 @@ fn disarming_does_not_wait_for_a_host_that_does_not_read() {
         assert!(open <= sent + 60, "sent at tick {sent}, open from {open}");
         let answers: Vec<u64> = sequences.iter().map(|s| tick(b.link.reply(*s))).collect();
         assert!(answers.is_sorted(), "answered in turn: {answers:?}");
+    }
+}
+
+/// A host that does not read and sends `Arm`, then `Disarm` so much later: what it said last holds, although there is no room for the answers.
+#[test]
+fn what_arms_ahead_of_a_disarm_does_not_outlive_it() {
+    let Some(image) = image() else { return };
+    let both = [Command::Arm, Command::Disarm];
+    // Of a loop that is open and one that is closed; more than one pair, as each `Disarm` ends only what stands before it.
+    for (is_armed, pairs) in [(false, 1), (true, 1), (false, 3), (true, 3)] {
+        for apart in [None, Some(0), Some(40), Some(100)] {
+            let mut b = armed(&image, 18, |_| {});
+            b.start(&[(0, hold(9.0)), (1, hold(9.0))]).unwrap();
+            b.run_for(200 * MILLISECOND).unwrap();
+            if !is_armed {
+                b.command(&Command::Disarm).unwrap();
+                b.run_for(SECOND).unwrap();
+                assert!(Flags(b.status().unwrap().flags).is_parked());
+            }
+            b.command(&ON).unwrap();
+            b.run_for(50 * MILLISECOND).unwrap();
+            let (ticks, counted) = (b.counters().unwrap().ticks, b.now());
+            // Longer than it takes to fill the ring.
+            stall(&mut b, true);
+            b.run_for(300 * MILLISECOND).unwrap();
+            let mut posted = Vec::new();
+            for _ in 0..pairs {
+                match apart {
+                    // In one packet.
+                    None => {
+                        let [(arm, mut bytes), (disarm, more)] =
+                            both.each_ref().map(|c| b.link.command(c));
+                        bytes.extend_from_slice(&more);
+                        b.send(bytes).unwrap();
+                        posted.extend([arm, disarm]);
+                    }
+                    Some(microseconds) => {
+                        posted.push(post(&mut b, &Command::Arm));
+                        b.run_for(microseconds * MICROSECOND).unwrap();
+                        posted.push(post(&mut b, &Command::Disarm));
+                    }
+                }
+            }
+            let sent = u64::from(ticks) + (b.now() - counted) / (MILLISECOND / 10);
+            let what = format!("armed: {is_armed}, {pairs} pairs, {apart:?} us apart");
+            b.run_for(SECOND).unwrap();
+            let codes = [(0, 0), (0, 1), (1, 0)].map(|(d, c)| b.machine.soc().dac[d].output(c));
+            b.link.samples = Some(Vec::new());
+            stall(&mut b, false);
+            b.run_for(200 * MILLISECOND).unwrap();
+            let samples = b.link.samples.take().unwrap();
+            // The ring holds older ones; the newest of these are from before the host read again.
+            let after: Vec<&Sample> = samples.iter().filter(|s| s.tick > sent + 60).collect();
+            let closed = after.iter().filter(|s| Flags(s.flags).state().is_active()).count();
+            let answers: Vec<_> = posted.iter().map(|s| b.link.reply(*s)).collect();
+            println!(
+                "{what}: drives at {codes:?}, closed in {closed} of {} ticks after it; {answers:?}",
+                after.len()
+            );
+            assert!(after[0].tick < sent + 10_100, "{what}: from {}", after[0].tick);
+            assert_eq!((codes, closed), ([Some(256); 3], 0), "{what}");
+            assert!(answers.iter().all(Option::is_some), "{what}: {answers:?}");
+            assert_eq!(Flags(b.status().unwrap().flags).state(), State::Off, "{what}");
+            no_restart(&b, &what);
+            // The order is done with.
+            b.arm().unwrap();
+        }
     }
 }
 

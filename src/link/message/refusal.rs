@@ -22,7 +22,7 @@ pub enum Refusal {
     NotParked,
     /// Only while the loop is open.
     Armed,
-    /// The board is still busy with an earlier command.
+    /// The board is still busy with an earlier command, or a [`Command::Disarm`](super::Command::Disarm) that came after this one has acted already.
     Busy,
     /// Flash could not be written; the old settings are still whole.
     Flash,
