@@ -19,6 +19,8 @@ pub struct Tally {
     pub next_tick: u64,
     /// Ticks between frames that never came.
     pub missing: u64,
+    /// Of those, ticks that the board has not counted as dropped by the frame after the gap: lost on the way.
+    pub lost_in_transit: u64,
     /// The board's own count of dropped samples, newest.
     pub dropped: u32,
     /// Its count in the first frame.
@@ -136,7 +138,13 @@ fn take(
         tally.dropped_at_start = stream.dropped;
     }
     match stream.first_tick.checked_sub(tally.next_tick) {
-        Some(gap) => tally.missing += gap,
+        Some(gap) => {
+            tally.missing += gap;
+            let by_board = u64::from(stream.dropped.wrapping_sub(tally.dropped));
+            if tally.frames > 1 {
+                tally.lost_in_transit += gap.saturating_sub(by_board);
+            }
+        }
         None => tally.bad += 1,
     }
     tally.next_tick = stream.first_tick + stream.count as u64;

@@ -58,7 +58,7 @@ fn count_dropped() {
 #[embassy_executor::task]
 pub async fn pump(mut records: Consumer, mut ring: Sender<'static, NoopRawMutex, StreamFrame>) {
     let mut sequence = 0u16;
-    let mut last = Last { tick: 0, drive: [0; AXES] };
+    let mut last = Last { tick: 0, drive: [0; AXES], lost: 0 };
     let mut ticker = Ticker::every(Duration::from_millis(1));
     loop {
         let stream = stream_word();
@@ -84,6 +84,8 @@ pub async fn pump(mut records: Consumer, mut ring: Sender<'static, NoopRawMutex,
                 continue;
             };
             let mut writer = StreamWriter::new(&mut frame.buffer, fields, profile);
+            // What was dropped before the frame's first sample: it may be finished because of a loss behind its last one.
+            let mut dropped = 0;
             let is_full = loop {
                 if stream_word() != stream {
                     break false;
@@ -93,14 +95,20 @@ pub async fn pump(mut records: Consumer, mut ring: Sender<'static, NoopRawMutex,
                     continue;
                 };
                 match last.sample(entry) {
-                    Some(sample) if !writer.push(&sample) => break true,
-                    Some(_) => {}
+                    Some(sample) => {
+                        if writer.count() == 0 {
+                            dropped = DROPPED.load(Ordering::Relaxed).wrapping_add(last.lost);
+                        }
+                        if !writer.push(&sample) {
+                            break true;
+                        }
+                    }
                     // A loss before it cost it its sample too.
                     None => count_dropped(),
                 }
                 last.pass(&mut records);
             };
-            if is_full && let Ok(length) = writer.finish(sequence, dropped()) {
+            if is_full && let Ok(length) = writer.finish(sequence, dropped) {
                 sequence = sequence.wrapping_add(1);
                 frame.length = length as u16;
                 frame.stream = stream_number(stream);
@@ -127,12 +135,16 @@ struct Last {
     tick: u64,
     /// The drives that it commanded.
     drive: [i32; AXES],
+    /// Ticks without a record before it, in all: [`lost_by_the_tick`], as it was then.
+    lost: u32,
 }
 
 impl Last {
     /// Takes the oldest record off its queue; whether there was one.
     fn pass(&mut self, records: &mut Consumer) -> bool {
         if let Some(Entry { record, .. }) = records.peek() {
+            let missing = record.tick.wrapping_sub(self.tick as u32).saturating_sub(1);
+            self.lost = self.lost.wrapping_add(missing);
             self.tick += u64::from(record.tick.wrapping_sub(self.tick as u32));
             self.drive = record.axes.each_ref().map(|axis| axis.drive.to_bits());
         }

@@ -5,7 +5,7 @@
 //! | offset | bytes | field |
 //! | --- | --- | --- |
 //! | 0 | 8 | tick of the first sample |
-//! | 8 | 4 | samples dropped since the stream was started |
+//! | 8 | 4 | samples dropped before that one, since the stream was started |
 //! | 12 | 1 | number of samples |
 //! | 13 | 1 | [`Profile`] |
 //! | 14 | 2 | [`Fields`] mask |
@@ -296,7 +296,7 @@ impl core::error::Error for StreamError {}
 pub struct StreamFrame<'a> {
     /// Tick of the first sample.
     pub first_tick: u64,
-    /// Samples dropped by the device since the stream was started.
+    /// Samples dropped by the device before the first sample, since the stream was started.
     pub dropped: u32,
     /// Number of samples.
     pub count: u8,

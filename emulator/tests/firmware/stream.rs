@@ -85,6 +85,29 @@ fn exact_stream_of_every_field_keeps_up() {
 }
 
 #[test]
+fn what_the_board_loses_is_not_lost_on_the_way() {
+    let Some(image) = image() else { return };
+    let mut b = armed(&image, 7, |_| {});
+    b.start(&motion()).unwrap();
+    b.stream(Fields::RECORDING, Profile::Exact).unwrap();
+    b.run_for(50 * MILLISECOND).unwrap();
+    b.link.clear();
+    for _ in 0..5 {
+        // A tick takes more than two periods, and every second trigger at least finds the one before still waiting.
+        b.machine.soc_mut().set_cycles_per_instruction(800);
+        b.run_for(5 * MILLISECOND).unwrap();
+        b.machine.soc_mut().set_cycles_per_instruction(16);
+        b.run_for(50 * MILLISECOND).unwrap();
+    }
+    let t = &b.link.tally;
+    println!("{t:?}");
+    assert!(t.missing >= 125, "{t:?}");
+    // By the frame behind each gap, not some frame later or earlier.
+    assert_eq!((t.lost_in_transit, t.dropped_at_start, t.bad), (0, 0, 0), "{t:?}");
+    assert_eq!(t.missing, u64::from(t.dropped), "{t:?}");
+}
+
+#[test]
 fn a_host_that_stops_reading() {
     let Some(image) = image() else { return };
     let mut b = armed(&image, 6, |_| {});
