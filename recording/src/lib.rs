@@ -37,7 +37,7 @@ pub use columns::MAX_AXES;
 pub use error::{Error, Result};
 pub use meta::{FORMAT, METADATA_KEY, Meta, VERSION};
 pub use session::{Entry, Session};
-pub use stream::{Channels, Sample, StreamWriter, Summary, recover};
+pub use stream::{Channels, Sample, StreamWriter, Summary, discard, recover, recoverable_rows};
 pub use together::{Together, check_target};
 
 /// One experiment. All columns have the length of `tick`; the outer vectors have one entry an axis.

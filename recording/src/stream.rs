@@ -283,12 +283,60 @@ pub fn recover(path: impl AsRef<Path>) -> Result<Recording> {
     if path.exists() {
         return Recording::read(path);
     }
+    let Some(Vouched { file: first, groups, end }) = vouched(path)? else {
+        return Err(Error::invalid(
+            &part,
+            "expected at least one whole second of samples, found none",
+        ));
+    };
+    let data = OpenOptions::new().write(true).open(&part).map_err(Error::io(&part, "open"))?;
+    let rows = groups.iter().map(RowGroupMetaData::num_rows).sum();
+    let pairs = first.key_value_metadata().cloned();
+    let all = FileMetaData::new(1, rows, None, pairs, first.schema_descr_ptr(), None);
+    let cannot = |error| cannot_write(&part, error);
+    let footer = footer(&all, groups).map_err(cannot)?;
+    // Only bytes that no journal entry vouches for are cut; interrupted here, recovery can start again.
+    data.set_len(end).map_err(Error::io(&part, "shorten"))?;
+    let mut data = data;
+    std::io::Seek::seek(&mut data, std::io::SeekFrom::End(0)).map_err(Error::io(&part, "write"))?;
+    data.write_all(&footer).map_err(Error::io(&part, "write"))?;
+    data.sync_all().map_err(Error::io(&part, "write"))?;
+    let recording = crate::parquet::read(&part)?;
+    std::fs::rename(&part, path).map_err(Error::io(path, "rename to"))?;
+    std::fs::remove_file(&journal).map_err(Error::io(&journal, "remove"))?;
+    Ok(recording)
+}
+
+/// What the journal vouches for.
+struct Vouched {
+    file: FileMetaData,
+    groups: Vec<RowGroupMetaData>,
+    /// Where it ends in the part.
+    end: u64,
+}
+
+/// How many rows [`recover`] would find in what an interrupted [`StreamWriter`] left behind.
+pub fn recoverable_rows(path: impl AsRef<Path>) -> Result<u64> {
+    let found = vouched(path.as_ref())?;
+    let rows = |found: Vouched| found.groups.iter().map(|group| group.num_rows() as u64).sum();
+    Ok(found.map_or(0, rows))
+}
+
+/// Removes what an interrupted [`StreamWriter`] left behind, as far as it can be removed.
+pub fn discard(path: impl AsRef<Path>) {
+    let (part, journal) = unfinished(path.as_ref());
+    let _ = std::fs::remove_file(part);
+    let _ = std::fs::remove_file(journal);
+}
+
+/// The row groups that are whole on disk, if there is one.
+fn vouched(path: &Path) -> Result<Option<Vouched>> {
+    let (part, journal) = unfinished(path);
     let mut entries = Vec::new();
     File::open(&journal)
         .and_then(|mut file| file.read_to_end(&mut entries))
         .map_err(Error::io(&journal, "open"))?;
-    let data = OpenOptions::new().write(true).open(&part).map_err(Error::io(&part, "open"))?;
-    let length = data.metadata().map_err(Error::io(&part, "look at"))?.len();
+    let length = std::fs::metadata(&part).map_err(Error::io(&part, "look at"))?.len();
 
     let mut groups: Vec<RowGroupMetaData> = Vec::new();
     let mut file = None;
@@ -309,27 +357,7 @@ pub fn recover(path: impl AsRef<Path>) -> Result<Recording> {
         groups.extend(meta.row_groups().iter().cloned());
         file.get_or_insert_with(|| meta.file_metadata().clone());
     }
-    let Some(first) = file else {
-        return Err(Error::invalid(
-            &part,
-            "expected at least one whole second of samples, found none",
-        ));
-    };
-    let rows = groups.iter().map(RowGroupMetaData::num_rows).sum();
-    let pairs = first.key_value_metadata().cloned();
-    let all = FileMetaData::new(1, rows, None, pairs, first.schema_descr_ptr(), None);
-    let cannot = |error| cannot_write(&part, error);
-    let footer = footer(&all, groups).map_err(cannot)?;
-    // Only bytes that no journal entry vouches for are cut; interrupted here, recovery can start again.
-    data.set_len(end).map_err(Error::io(&part, "shorten"))?;
-    let mut data = data;
-    std::io::Seek::seek(&mut data, std::io::SeekFrom::End(0)).map_err(Error::io(&part, "write"))?;
-    data.write_all(&footer).map_err(Error::io(&part, "write"))?;
-    data.sync_all().map_err(Error::io(&part, "write"))?;
-    let recording = crate::parquet::read(&part)?;
-    std::fs::rename(&part, path).map_err(Error::io(path, "rename to"))?;
-    std::fs::remove_file(&journal).map_err(Error::io(&journal, "remove"))?;
-    Ok(recording)
+    Ok(file.map(|file| Vouched { file, groups, end }))
 }
 
 /// Footers of the journal up to the first that is cut off or damaged, each as a Parquet file without row groups before it.

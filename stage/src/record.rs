@@ -50,15 +50,14 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let device = args.board.open()?;
     let stop = on_interrupt()?;
     device.stream()?;
-    let recorder = Recorder::start(&device, file, &args.experiment, &args.rig)?;
+    let recorder = Recorder::start_for(&device, file, &args.experiment, &args.rig, args.seconds)?;
     let bar = seconds_bar(args.seconds.unwrap_or(0.0));
     let progress = loop {
         std::thread::sleep(Duration::from_millis(20));
         let progress = recorder.progress();
         bar.set_position((progress.seconds * 10.0) as u64);
         bar.set_message(format!("{:.1} s, {} ticks lost", progress.seconds, progress.lost_ticks));
-        let is_long_enough = args.seconds.is_some_and(|s| progress.seconds >= s);
-        if progress.ended.is_some() || is_long_enough || stop.load(Ordering::Acquire) {
+        if progress.ended.is_some() || stop.load(Ordering::Acquire) {
             break recorder.stop();
         }
     };

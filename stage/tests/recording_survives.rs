@@ -82,3 +82,38 @@ fn a_full_disk_is_said_and_loses_at_most_the_last_second() {
     let seconds = Recording::read(&file).unwrap().span_ticks() as f64 / 1e4;
     assert!(seconds >= 1.0 && seconds >= taken - 1.0, "{seconds} s of {taken} s");
 }
+
+#[test]
+fn a_disk_that_is_full_in_the_first_second_keeps_nothing_and_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let (disk, left) = (folder.path().join("disk"), folder.path().join("left"));
+    std::fs::create_dir(&disk).unwrap();
+    let script = "mount -t tmpfs -o size=64k none \"$1\" || exit 77; shift; \"$@\"; code=$?; \
+                  ls \"$0\" > \"$0\"/../left; exit $code";
+    let out = Command::new("unshare")
+        .args(["-rm", "sh", "-c", script, text(&disk), text(&disk)])
+        .arg(env!("CARGO_BIN_EXE_flexstage"))
+        .args(["record", "--virtual", "--fast", "--seconds", "20", text(&disk.join("a.parquet"))])
+        .output();
+    // Without the list of what is left there was no disk.
+    let Some(out) = out.ok().filter(|_| left.exists()) else {
+        eprintln!("skipped: this machine lets nobody mount a disk in a namespace (unshare -rm)");
+        return;
+    };
+    let words = String::from_utf8_lossy(&out.stderr).into_owned();
+    assert_eq!(out.status.code(), Some(2), "{words}");
+    assert!(words.contains("the disk is full") && words.contains("nothing had been"), "{words}");
+    assert!(!words.contains("is kept") && !words.contains("--recover"), "{words}");
+    assert_eq!(std::fs::read_to_string(&left).unwrap(), "", "nothing is in the way");
+}
+
+#[test]
+fn a_recording_is_as_long_as_it_was_to_be_at_any_speed() {
+    let folder = tempfile::tempdir().unwrap();
+    for seconds in ["0.01", "1"] {
+        let file = folder.path().join(format!("{seconds}.parquet"));
+        ok(run(&["record", "--virtual", "--fast", "--seconds", seconds, text(&file)]));
+        let length = Recording::read(&file).unwrap().span_ticks() as f64 / 1e4;
+        assert_eq!(length, seconds.parse::<f64>().unwrap());
+    }
+}

@@ -61,13 +61,29 @@ pub struct Recorder {
 impl Recorder {
     /// Start recording everything that the device streams. Refuses to overwrite a file.
     pub fn start(device: &Device, path: &Path, experiment: &str, rig: &str) -> Result<Self> {
-        let rate = device.info().sample_rate_hz;
-        let meta = Meta { rig: rig.to_owned(), ..Meta::new(experiment, rate) };
-        Self::record(device.subscribe(), path, meta)
+        Self::start_for(device, path, experiment, rig, None)
     }
 
-    /// Record batches until their source ends.
-    pub fn record(batches: Receiver<Batch>, path: &Path, meta: Meta) -> Result<Self> {
+    /// As [`Recorder::start`]; ends by itself after so many seconds on the sample clock.
+    pub fn start_for(
+        device: &Device,
+        path: &Path,
+        experiment: &str,
+        rig: &str,
+        seconds: Option<f64>,
+    ) -> Result<Self> {
+        let rate = device.info().sample_rate_hz;
+        let meta = Meta { rig: rig.to_owned(), ..Meta::new(experiment, rate) };
+        Self::record(device.subscribe(), path, meta, seconds)
+    }
+
+    /// Record batches until their source ends, or for so many seconds on the sample clock.
+    pub fn record(
+        batches: Receiver<Batch>,
+        path: &Path,
+        meta: Meta,
+        seconds: Option<f64>,
+    ) -> Result<Self> {
         let rate = meta.sample_rate_hz;
         let channels = Channels { axes: AXES, monitor: true, reference: true, flags: true };
         let writer = StreamWriter::create(path, meta, channels)?;
@@ -83,6 +99,7 @@ impl Recorder {
             writer,
             batches,
             rate,
+            ticks: seconds.map(|seconds| ((seconds * rate).round() as u64).max(1)),
             first: None,
             progress: progress.clone(),
             stop: stop.clone(),
@@ -99,7 +116,7 @@ impl Recorder {
         lock(&self.progress).clone()
     }
 
-    /// End the recording and wait until the file is complete.
+    /// End the recording with what has arrived by now, and wait until the file is complete.
     pub fn stop(mut self) -> Progress {
         self.shut();
         self.progress()
@@ -123,6 +140,8 @@ struct Job {
     writer: StreamWriter,
     batches: Receiver<Batch>,
     rate: f64,
+    /// Length, if it is to end by itself.
+    ticks: Option<u64>,
     first: Option<u64>,
     progress: Arc<Mutex<Progress>>,
     stop: Arc<AtomicBool>,
@@ -132,79 +151,82 @@ impl Job {
     fn run(mut self) {
         let result = self.take_all();
         let path = lock(&self.progress).path.clone();
-        let ended = match result {
-            // A recording without a single sample is not a recording: nothing to keep.
-            Ok(ended) => match self.writer.finish() {
-                Ok(_) => ended,
-                Err(error) => cannot_write(&path, &error.to_string()),
-            },
-            Err(error) => {
-                // What is on disk is vouched for by the journal. Make it a file again at once, if the disk lets us.
-                drop(self.writer);
-                match recording::recover(&path) {
-                    Ok(kept) => Ended::CannotWrite {
-                        reason: format!(
-                            "{error}; the first {:.1} s are safe in {}",
-                            kept.span_ticks() as f64 / self.rate,
-                            path.display()
-                        ),
-                    },
-                    Err(_) => cannot_write(&path, &error.to_string()),
-                }
-            }
+        // A recording without a single sample is not a recording: nothing to keep.
+        let ended = match result.map(|ended| (self.writer.finish(), ended)) {
+            Ok((Ok(_), ended)) => ended,
+            Ok((Err(error), _)) | Err(error) => cannot_write(&path, &error.to_string(), self.rate),
         };
         lock(&self.progress).ended = Some(ended);
     }
 
     fn take_all(&mut self) -> recording::Result<Ended> {
-        loop {
-            let stopping = self.stop.load(Ordering::Acquire);
+        while !self.stop.load(Ordering::Acquire) {
             match self.batches.recv_timeout(Duration::from_millis(20)) {
-                Ok(batch) if batch.restarted && self.first.is_some() => {
-                    let reason = "the board restarted: its ticks count anew".to_owned();
-                    return Ok(Ended::BoardGone { reason });
+                Ok(batch) => {
+                    if let Some(ended) = self.take(&batch)? {
+                        return Ok(ended);
+                    }
                 }
-                Ok(batch) => self.take(&batch.samples)?,
-                // On a stop everything that had arrived before is still written.
-                Err(_) if stopping => return Ok(Ended::Stopped),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
                     let reason = "the connection to the board was lost".to_owned();
                     return Ok(Ended::BoardGone { reason });
                 }
             }
-            if stopping && self.progress_is_past_stop() {
-                return Ok(Ended::Stopped);
+        }
+        // On a stop everything that had arrived before is still written. Out of the queue at once: with a fast source it might never be
+        // empty while this writes.
+        let arrived: Vec<Batch> = self.batches.try_iter().collect();
+        for batch in arrived {
+            if let Some(ended) = self.take(&batch)? {
+                return Ok(ended);
             }
         }
+        Ok(Ended::Stopped)
     }
 
-    /// With a fast source the queue may never be empty; one more batch after the stop is enough.
-    fn progress_is_past_stop(&self) -> bool {
-        self.first.is_some()
-    }
-
-    fn take(&mut self, samples: &[Sample]) -> recording::Result<()> {
-        for sample in samples {
-            self.writer.push(&recording_sample(sample))?;
+    /// Writes a batch; how the recording ends with it, if it does.
+    fn take(&mut self, batch: &Batch) -> recording::Result<Option<Ended>> {
+        if batch.restarted && self.first.is_some() {
+            let reason = "the board restarted: its ticks count anew".to_owned();
+            return Ok(Some(Ended::BoardGone { reason }));
         }
-        let Some(last) = samples.last() else { return Ok(()) };
-        let first = *self.first.get_or_insert(samples[0].tick);
-        let mut progress = lock(&self.progress);
-        progress.rows = self.writer.rows();
-        progress.lost_ticks = self.writer.lost_ticks();
-        progress.seconds = (last.tick - first + 1) as f64 / self.rate;
-        Ok(())
+        let Some(newest) = batch.samples.last() else { return Ok(None) };
+        let first = *self.first.get_or_insert(batch.samples[0].tick);
+        let end = self.ticks.map_or(u64::MAX, |ticks| first.saturating_add(ticks));
+        let mut last = None;
+        for sample in batch.samples.iter().take_while(|sample| sample.tick < end) {
+            self.writer.push(&recording_sample(sample))?;
+            last = Some(sample.tick);
+        }
+        if let Some(last) = last {
+            let mut progress = lock(&self.progress);
+            progress.rows = self.writer.rows();
+            progress.lost_ticks = self.writer.lost_ticks();
+            progress.seconds = (last - first + 1) as f64 / self.rate;
+        }
+        Ok((newest.tick.saturating_add(1) >= end).then_some(Ended::Stopped))
     }
 }
 
-fn cannot_write(path: &Path, error: &str) -> Ended {
-    Ended::CannotWrite {
-        reason: format!(
-            "{error}; what was written before is kept in {0}.part and {0}.journal: free some space and run `flexstage record --recover {0}`",
-            path.display()
+/// What is on disk is vouched for by the journal. Makes it a file again at once, if the disk lets us.
+fn cannot_write(path: &Path, error: &str, rate: f64) -> Ended {
+    let shown = path.display();
+    let kept = match recording::recover(path) {
+        Ok(kept) => {
+            let seconds = kept.span_ticks() as f64 / rate;
+            format!("the first {seconds:.1} s are safe in {shown}")
+        }
+        // In its first second, of which nothing can be read: nor should it be in the way of the next recording.
+        Err(_) if recording::recoverable_rows(path).is_ok_and(|rows| rows == 0) => {
+            recording::discard(path);
+            "nothing had been written yet: there is no recording".into()
+        }
+        Err(_) => format!(
+            "what was written before is kept in {shown}.part and {shown}.journal: free some space and run `flexstage record --recover {shown}`"
         ),
-    }
+    };
+    Ended::CannotWrite { reason: format!("{error}; {kept}") }
 }
 
 fn recording_sample(sample: &Sample) -> recording::Sample<'_> {

@@ -17,7 +17,7 @@ fn batch(ticks: std::ops::Range<u64>, restarted: bool) -> Batch {
 
 fn start(path: &Path) -> (mpsc::Sender<Batch>, Recorder) {
     let (sender, receiver) = mpsc::channel();
-    (sender, Recorder::record(receiver, path, Meta::new("test", 1000.0)).unwrap())
+    (sender, Recorder::record(receiver, path, Meta::new("test", 1000.0), None).unwrap())
 }
 
 fn wait(recorder: &Recorder) -> Ended {
@@ -37,12 +37,48 @@ fn a_stop_keeps_everything() {
     let (sender, recorder) = start(&path);
     sender.send(batch(5..1505, false)).unwrap();
     sender.send(batch(1600..2000, false)).unwrap();
-    std::thread::sleep(Duration::from_millis(100));
+    // Many more, so that they wait when the stop comes.
+    (200..10_200).for_each(|n| sender.send(batch(10 * n..10 * n + 10, false)).unwrap());
     let progress = recorder.stop();
     assert_eq!(progress.ended, Some(Ended::Stopped));
-    assert_eq!((progress.rows, progress.lost_ticks), (1900, 95));
+    assert_eq!((progress.rows, progress.lost_ticks), (101_900, 95));
     let read = Recording::read(&path).unwrap();
-    assert_eq!((read.len(), read.tick[0], read.lost().len()), (1900, 5, 1));
+    assert_eq!((read.len(), read.tick[0], read.lost().len()), (101_900, 5, 1));
+}
+
+#[test]
+fn a_recording_is_as_long_as_it_was_to_be() {
+    let folder = tempfile::tempdir().unwrap();
+    // The end within a batch, with one, and in a gap.
+    for (n, (seconds, last)) in [(0.25, 254), (0.3, 304), (0.55, 504)].into_iter().enumerate() {
+        let path = folder.path().join(format!("{n}.parquet"));
+        let (sender, receiver) = mpsc::channel();
+        for from in [5, 105, 205, 305, 405, 605, 705] {
+            sender.send(batch(from..from + 100, false)).unwrap();
+        }
+        let meta = Meta::new("test", 1000.0);
+        let recorder = Recorder::record(receiver, &path, meta, Some(seconds)).unwrap();
+        assert_eq!(wait(&recorder), Ended::Stopped);
+        let progress = recorder.stop();
+        let read = Recording::read(&path).unwrap();
+        assert_eq!((read.tick[0], read.tick[read.len() - 1]), (5, last), "{seconds} s");
+        assert_eq!(progress.rows, read.len() as u64);
+        assert_eq!(progress.lost_ticks, 0, "{seconds} s");
+    }
+}
+
+#[test]
+fn a_recording_that_never_was_is_not_said_to_be_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.parquet");
+    let (sender, recorder) = start(&path);
+    // As below, in the first second.
+    sender.send(batch(0..10, false)).unwrap();
+    let bad = Sample { tick: 10, position_um: [f32::NAN; 3], ..Default::default() };
+    sender.send(Batch { samples: vec![bad].into(), restarted: false }).unwrap();
+    let Ended::CannotWrite { reason } = wait(&recorder) else { panic!() };
+    assert!(reason.contains("nothing had been written"), "{reason}");
+    assert_eq!(folder.path().read_dir().unwrap().count(), 0, "nothing is left");
 }
 
 #[test]
@@ -88,6 +124,6 @@ fn no_file_is_overwritten() {
     let path = folder.path().join("a.parquet");
     std::fs::write(&path, "precious").unwrap();
     let (_sender, receiver) = mpsc::channel();
-    assert!(Recorder::record(receiver, &path, Meta::new("test", 1000.0)).is_err());
+    assert!(Recorder::record(receiver, &path, Meta::new("test", 1000.0), None).is_err());
     assert_eq!(std::fs::read_to_string(&path).unwrap(), "precious");
 }
