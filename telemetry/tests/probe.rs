@@ -145,6 +145,65 @@ fn a_stop_while_waveforms_are_staged_is_the_next_command() {
     assert!(matches!(next, Some(Command::Disarm)), "{next:?}");
 }
 
+/// A board whose stream falls silent once a waveform has been started, though it still takes commands; and one that then takes no settings.
+struct Silent {
+    board: VirtualBoard,
+    is_silent: bool,
+    takes_settings: bool,
+}
+
+impl Transport for Silent {
+    fn name(&self) -> String {
+        self.board.name()
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<()> {
+        let mut deframer = Deframer::new();
+        deframer.feed(bytes);
+        if let Some(frame) = deframer.next_frame()
+            && let Ok(command) = message::decode_command(&frame)
+        {
+            self.is_silent |= matches!(command, Command::Start { .. });
+            if self.is_silent && !self.takes_settings && matches!(command, Command::SetSettings(_))
+            {
+                return Ok(());
+            }
+        }
+        self.board.send(bytes)
+    }
+
+    fn receive(&mut self, timeout: Duration) -> Result<Option<Vec<u8>>> {
+        let received = self.board.receive(timeout)?;
+        Ok(received.filter(|bytes| {
+            let kind = flexstage::link::frame::decode(bytes).map(|frame| frame.kind);
+            !(self.is_silent && kind == Ok(flexstage::link::Kind::Stream))
+        }))
+    }
+}
+
+#[test]
+fn a_stream_that_falls_silent_leaves_no_settings_of_the_probe() {
+    for takes_settings in [true, false] {
+        let options = Options { speed: Speed::Max, ..Options::default() };
+        let board = VirtualBoard::start(&options).unwrap();
+        let transport = Silent { board, is_silent: false, takes_settings };
+        let device = Device::start(Box::new(transport)).unwrap();
+        let before = settings(&device);
+        let (options, plan) = quick();
+        let folder = tempfile::tempdir().unwrap();
+        let stop = AtomicBool::new(false);
+        let error =
+            probe::run(&device, &plan, &options.axes, "", folder.path(), &stop, &mut |_| {})
+                .unwrap_err()
+                .to_string();
+        assert!(error.contains("no samples for 3 s"), "{error}");
+        let Reply::Status(status) = device.command(Command::Status).unwrap() else { panic!() };
+        assert!(Flags(status.flags).is_parked());
+        assert_eq!(settings(&device) == before, takes_settings);
+        assert_eq!(error.contains("still has the probe's settings"), !takes_settings, "{error}");
+    }
+}
+
 #[test]
 fn a_folder_with_files_is_not_touched() {
     let device = open();

@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use flexstage::link::message::{Command, Reply, TABLE_CHUNK};
 use flexstage::{Flags, Settings, State};
@@ -152,9 +152,10 @@ pub fn capture(
         device.command(Command::SetSettings(runner.settings.clone()))?;
     }
     let result = runner.all(plan, progress, take);
-    let restored = runner.restore(&before);
-    result?;
-    restored
+    match (result, runner.restore(&before)) {
+        (Err(error), Err(left)) => Err(Error::Invalid(format!("{error}; {left}"))),
+        (result, restored) => result.and(restored),
+    }
 }
 
 struct Runner<'a> {
@@ -361,8 +362,15 @@ impl Runner<'_> {
 
     /// Send a command; the tick from which it acts.
     fn order(&mut self, command: Command) -> Result<u64> {
+        self.now()?;
+        let reply = self.command(command)?;
+        self.tick_of(&reply)
+    }
+
+    /// The tick from which a command acts, by the answer to it.
+    fn tick_of(&mut self, reply: &Reply) -> Result<u64> {
         let now = self.now()?;
-        let Reply::Done { tick } = self.command(command)? else {
+        let &Reply::Done { tick } = reply else {
             return Err(Error::Invalid(
                 "the board did not say when the command takes effect".into(),
             ));
@@ -401,8 +409,28 @@ impl Runner<'_> {
     }
 
     fn disarm(&mut self) -> Result<()> {
-        let tick = self.order(Command::Disarm)?;
+        // Without a look at the stream, which may be silent.
+        let reply = self.command(Command::Disarm)?;
+        let tick = self.tick_of(&reply)?;
         self.until(tick, "the drives to be parked", REST_S, |s| Flags(s.flags).is_parked())
+    }
+
+    /// Wait for the drives to be parked without a stream.
+    fn poll_parked(&self) -> Result<()> {
+        let deadline = Instant::now() + Duration::from_secs_f64(REST_S);
+        loop {
+            if let Reply::Status(status) = self.device.command(Command::Status)?
+                && Flags(status.flags).is_parked()
+            {
+                return Ok(());
+            }
+            if Instant::now() > deadline {
+                return Err(Error::Invalid(format!(
+                    "waited {REST_S} s for the drives to be parked"
+                )));
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
     }
 
     /// Tables are exchanged while the loop is open.
@@ -428,14 +456,21 @@ impl Runner<'_> {
     fn restore(&mut self, before: &Settings) -> Result<()> {
         self.watching = false;
         self.captured = None;
-        if !self.device.is_connected() {
-            return Ok(());
+        // Where the stream is silent the board may still take commands.
+        let parked = self.disarm().or_else(|error| {
+            self.device.command(Command::Disarm).map_err(|_| error)?;
+            self.poll_parked()
+        });
+        if self.mode == Mode::ClosedLoop {
+            return if self.device.is_connected() { parked } else { Ok(()) };
         }
-        self.disarm()?;
-        if self.mode == Mode::OpenLoop {
-            self.device.command(Command::SetSettings(before.clone()))?;
+        // Whether or not it is parked: nothing is lost by asking.
+        match self.device.command(Command::SetSettings(before.clone())) {
+            Ok(_) => parked,
+            Err(error) => Err(Error::Invalid(format!(
+                "the board still has the probe's settings, until it restarts or gets others ({error})"
+            ))),
         }
-        Ok(())
     }
 }
 
