@@ -96,7 +96,8 @@ pub enum Command {
     },
     /// Stop streaming.
     StreamOff,
-    /// Start the stream, then at a later tick the waveform on this axis, so that the record holds all of it.
+    /// Start the stream, then at a later tick the waveform on this axis, so that the record holds all of it. A stream of the same fields and
+    /// profile goes on. Refused while nothing can be started.
     Probe {
         /// Axis, from 0.
         axis: u8,

@@ -424,7 +424,8 @@ async fn stage<D: Device>(
     staged
 }
 
-/// Stream first, excite after, so that the record holds all of the excitation; as before if the start is refused.
+/// Stream first, excite after, so that the record holds all of the excitation; as before if it is refused. A stream that is like it already
+/// is not begun anew, which would cost it samples and its count of those dropped.
 async fn probe<D: Device>(
     device: &mut D,
     axis: u8,
@@ -432,14 +433,31 @@ async fn probe<D: Device>(
     fields: Fields,
     profile: Profile,
 ) -> Result<u32, Refusal> {
+    can_start(device)?;
     stage(device, axis, generator).await?;
-    let before = device.status().stream;
-    device.stream(Some((fields, profile)));
+    // Staging may take long.
+    can_start(device)?;
+    let (before, wanted) = (device.status().stream, Some((fields, profile)));
+    if before != wanted {
+        device.stream(wanted);
+    }
     let started = device.control(crate::Command::Start { axes: 1 << axis }).await;
-    if started.is_err() {
+    if started.is_err() && before != wanted {
         device.stream(before);
     }
     started
+}
+
+/// What the controller will say to a start, by the state that it was in at the last tick.
+#[inline(never)]
+fn can_start<D: Device>(device: &D) -> Result<(), Refusal> {
+    use crate::State;
+    match Flags(device.status().flags).state() {
+        State::Run | State::Hold => Ok(()),
+        State::Arming => Err(Refusal::Control(crate::Refusal::StillArming)),
+        State::Fault => Err(Refusal::Control(crate::Refusal::Faulted)),
+        State::Off => Err(Refusal::Control(crate::Refusal::NotArmed)),
+    }
 }
 
 fn not_active<D: Device>(device: &D) -> Result<(), Refusal> {

@@ -14,6 +14,8 @@ struct Board {
     table: Table,
     record: crate::Record,
     stream: Option<(Fields, Profile)>,
+    /// Starts and ends of streams.
+    exchanges: u32,
     saves: u32,
     reboots: u32,
 }
@@ -29,6 +31,7 @@ impl Board {
             table: Table::EMPTY,
             record: crate::Record::default(),
             stream: None,
+            exchanges: 0,
             saves: 0,
             reboots: 0,
         };
@@ -79,6 +82,7 @@ impl Device for Board {
     }
     fn stream(&mut self, stream: Option<(Fields, Profile)>) -> u32 {
         self.stream = stream;
+        self.exchanges += 1;
         self.record.tick + 1
     }
     fn reboot(&mut self, _: bool) {
@@ -103,6 +107,39 @@ fn ask(session: &mut Session, board: &mut Board, command: &Command) -> Reply {
     let answer = frame::decode(&answer[..length]).unwrap();
     assert_eq!(answer.sequence, 77);
     decode_reply(&answer).unwrap()
+}
+
+#[test]
+fn a_probe_that_is_refused_changes_nothing_and_one_that_is_not_no_more_than_it_must() {
+    let (mut session, mut board) = (Session::new(), Board::new());
+    let generator = crate::GeneratorSettings::Hold { position_um: 1.0, blend_s: 0.1 };
+    let mut probe = |board: &mut Board, profile| {
+        let fields = Fields::RECORDING;
+        let exchanges = board.exchanges;
+        let command = Command::Probe { axis: 0, generator, fields, profile };
+        (ask(&mut session, board, &command), board.exchanges - exchanges)
+    };
+    board.stream(Some((Fields::RECORDING, Profile::Exact)));
+    for profile in [Profile::Exact, Profile::Packed] {
+        let (reply, exchanges) = probe(&mut board, profile);
+        let refusal = Refusal::Control(crate::Refusal::NotArmed);
+        assert_eq!((reply, exchanges), (Reply::Refused(refusal), 0), "{profile:?}");
+    }
+    board.controller.command(&board.config, crate::Command::Arm).unwrap();
+    board.tick();
+    let (reply, exchanges) = probe(&mut board, Profile::Packed);
+    let refusal = Refusal::Control(crate::Refusal::StillArming);
+    assert_eq!((reply, exchanges), (Reply::Refused(refusal), 0));
+    while board.controller.state() == crate::State::Arming {
+        board.tick();
+    }
+    let start = board.controller.command(&board.config, crate::Command::Start { axes: 1 });
+    assert_eq!(start, Err(crate::Refusal::NothingStaged), "the refused one has left nothing");
+    for (profile, expected) in [(Profile::Exact, 0), (Profile::Packed, 1)] {
+        let (reply, exchanges) = probe(&mut board, profile);
+        assert!(matches!(reply, Reply::Done { .. }), "{reply:?}");
+        assert_eq!(exchanges, expected, "{profile:?}");
+    }
 }
 
 #[test]
