@@ -61,9 +61,11 @@ pub fn set_stream(stream: Option<(Fields, Profile)>) -> u32 {
             0
         }
     };
-    STREAM_START.store(next_tick(), Ordering::Relaxed);
+    // Asked once: a tick may come in between, and its record waits for the pump.
+    let start = next_tick();
+    STREAM_START.store(start, Ordering::Relaxed);
     STREAM.store((before & 0xffff_0000).wrapping_add(1 << 16) | selected, Ordering::Relaxed);
-    next_tick()
+    start
 }
 
 /// The board as the session sees it.
@@ -172,8 +174,7 @@ impl Device for Board {
         self.settings.clone_from(settings);
         self.is_stored = false;
         self.digest = config.digest();
-        tick::exchange_config(&config);
-        Ok(next_tick())
+        Ok(tick::exchange_config(&config))
     }
 
     fn write_table(&mut self, offset: usize, points: &[f32]) -> Result<(), Refusal> {
@@ -182,8 +183,7 @@ impl Device for Board {
 
     fn use_table(&mut self, len: usize) -> Result<u32, Refusal> {
         tick::with_table(|table| table.set_len(len)).map_err(|_| Refusal::Range)?;
-        tick::use_table();
-        Ok(next_tick())
+        Ok(tick::use_table())
     }
 
     fn stream(&mut self, stream: Option<(Fields, Profile)>) -> u32 {

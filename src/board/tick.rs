@@ -170,14 +170,19 @@ pub fn init(config: Config, faults: Faults) -> Ends {
     Ends { records, orders, answers }
 }
 
-/// Puts a configuration into effect at the next tick. Called by one task only.
-pub fn exchange_config(config: &Config) {
+/// Puts a configuration into effect at the next tick, which is returned. Called by one task only.
+pub fn exchange_config(config: &Config) -> u32 {
     let [first, second] = &CONFIGS;
     let in_use = SHOWN.config.load(Ordering::Relaxed);
     let next = if in_use == first.get() { second.get() } else { first.get() };
     // SAFETY: the tick reads only the other one until the pointer changes, and one task calls this.
     unsafe { (*next).clone_from(config) };
-    SHOWN.config.store(next, Ordering::Release);
+    let before = SHOWN.ticks.load(Ordering::SeqCst);
+    SHOWN.config.store(next, Ordering::SeqCst);
+    let after = SHOWN.ticks.load(Ordering::SeqCst);
+    // A tick that came in between says itself whether it was the first one with it.
+    let has_acted = after != before && Flags(SHOWN.flags.load(Ordering::Relaxed)).is_swapped();
+    after.wrapping_sub(u32::from(has_acted))
 }
 
 /// Changes the table, which is out of use until [`use_table`]. Called by one task only.
@@ -187,9 +192,17 @@ pub fn with_table<R>(change: impl FnOnce(&mut Table) -> R) -> R {
     change(unsafe { &mut *TABLE.get() })
 }
 
-/// Puts the table into use at the next tick. Called by one task only.
-pub fn use_table() {
-    SHOWN.has_table.store(true, Ordering::Release);
+/// Puts the table into use at the next tick, which is returned. Called by one task only, while the loop is open.
+pub fn use_table() -> u32 {
+    loop {
+        let before = SHOWN.ticks.load(Ordering::SeqCst);
+        SHOWN.has_table.store(true, Ordering::SeqCst);
+        if SHOWN.ticks.load(Ordering::SeqCst) == before {
+            return before;
+        }
+        // A tick came in between, before or after: once more, as nobody sees the table come and go in an open loop.
+        SHOWN.has_table.store(false, Ordering::SeqCst);
+    }
 }
 
 /// The host wants the loop open: the next tick opens it, and the ones after it until none of the orders waits that were given before.

@@ -137,7 +137,7 @@ pub enum Reply {
         /// [`Config::digest`](crate::Config::digest) of what was built from them.
         digest: u32,
     },
-    /// Samples are streamed from about this tick on; the first frame says exactly.
+    /// Samples are streamed from this tick on; the first frame begins later only by what the board had to drop.
     Streaming {
         /// Tick.
         tick: u32,
