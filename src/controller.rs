@@ -130,11 +130,13 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
                 Ok(())
             }
             Command::Stage { axis, generator } => {
+                self.require_closed()?;
                 let (axis, multisines) = self.axis(*axis)?;
                 axis.trajectory.stage(multisines, generator);
                 Ok(())
             }
             Command::StagePart { axis, part, words } => {
+                self.require_closed()?;
                 let (axis, multisines) = self.axis(*axis)?;
                 if axis.trajectory.stage_part(multisines, usize::from(*part), words) {
                     Ok(())
@@ -178,6 +180,16 @@ impl<M: BorrowMut<[Multisines; AXES]>> Controller<M> {
     pub fn disarm(&mut self) {
         if self.state.is_active() {
             self.state = State::Off;
+        }
+    }
+
+    /// What is staged waits for a start, and an open loop would forget it.
+    #[inline(always)]
+    fn require_closed(&self) -> Result<(), Refusal> {
+        match self.state {
+            State::Fault => Err(Refusal::Faulted),
+            State::Off => Err(Refusal::NotArmed),
+            State::Arming | State::Run | State::Hold => Ok(()),
         }
     }
 

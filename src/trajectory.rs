@@ -82,11 +82,16 @@ impl Trajectory {
         }
     }
 
-    /// Forget all motion and stay at `position`.
+    /// Forget the waveform that waits.
+    #[inline(always)]
+    pub fn forget_staged(&mut self) {
+        self.is_staged = false;
+    }
+
+    /// Forget all motion and stay at `position`; a waveform that waits still does.
     #[inline(always)]
     pub fn reset(&mut self, position: Um) {
         self.generator.shape = Shape::Stop;
-        self.is_staged = false;
         self.start = position;
         self.coast = 0;
         self.still = 0;

@@ -75,6 +75,37 @@ fn seldom_glitches_are_forgiven() {
 }
 
 #[test]
+fn what_is_staged_waits_for_its_start_or_is_refused() {
+    let mut settings = Settings::default();
+    settings.guard.arming_s = 0.01;
+    let mut bench = Bench::new(&settings, 7.52);
+    let mut generators = [5.0, 6.0].map(|position_um| {
+        Generator::build(&GeneratorSettings::Hold { position_um, blend_s: 0.1 }).unwrap()
+    });
+    let stage = |bench: &mut Bench, generator: &Generator| {
+        let command = Command::Stage { axis: 0, generator: *generator };
+        bench.controller.command(&bench.config, command)
+    };
+    let start =
+        |bench: &mut Bench| bench.controller.command(&bench.config, Command::Start { axes: 1 });
+    while !bench.tick().flags.is_parked() {}
+    assert_eq!(stage(&mut bench, &generators[0]), Err(Refusal::NotArmed));
+    // As soon as the loop is being closed it is kept, before the first tick of that too.
+    bench.controller.command(&bench.config, Command::Arm).unwrap();
+    assert_eq!(stage(&mut bench, &generators[0]), Ok(()));
+    while bench.tick().flags.state() == State::Arming {}
+    assert_eq!(start(&mut bench), Ok(()));
+    // Opening the loop forgets it.
+    generators.swap(0, 1);
+    assert_eq!(stage(&mut bench, &generators[0]), Ok(()));
+    bench.controller.command(&bench.config, Command::Disarm).unwrap();
+    bench.arm();
+    assert_eq!(start(&mut bench), Err(Refusal::NothingStaged));
+    bench.controller.trip(Faults::CONVERTER);
+    assert_eq!(stage(&mut bench, &generators[0]), Err(Refusal::Faulted));
+}
+
+#[test]
 fn a_loop_that_was_just_opened_does_not_close_before_the_drives_are_back() {
     type Open = fn(&mut Bench);
     let ways: [Open; 2] = [

@@ -124,6 +124,7 @@ impl Axis {
     #[inline(never)]
     #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.core"))]
     pub(super) fn close(&mut self) {
+        // Not what is staged: that came after the order to close.
         self.trajectory.reset(self.position);
         self.feedforward.reset();
         self.feedback.reset();
@@ -244,6 +245,7 @@ impl Axis {
         self.watch.rest(next);
         self.limits = Limits::NONE;
         self.trajectory.reset(self.position);
+        self.trajectory.forget_staged();
         self.record(config, out);
         next == safe
     }

@@ -61,7 +61,8 @@ pub enum Command {
     ClearFaults,
     /// Nothing else.
     KeepAlive,
-    /// Keep a waveform for an axis (from 0) until [`Command::Start`].
+    /// Keep a waveform for an axis (from 0) until [`Command::Start`] or until the loop opens, which forgets it. Refused while the loop is open;
+    /// not while it is being closed.
     Stage {
         /// Axis, from 0.
         axis: u8,

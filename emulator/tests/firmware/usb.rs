@@ -3,7 +3,7 @@
 use emulator::bench::Bench;
 use emulator::time::{MILLISECOND, SECOND};
 use flexstage::generator::Multisine;
-use flexstage::link::message::{Command, Reply};
+use flexstage::link::message::{Command, Refusal, Reply};
 use flexstage::link::{self, Fields, Profile, message::SCHEMA_HASH};
 use flexstage::{Flags, GeneratorSettings};
 
@@ -101,6 +101,7 @@ fn disarming_does_not_wait_for_staging() {
     b.stream(Fields::RECORDING, Profile::Packed).unwrap();
     b.run_for(20 * MILLISECOND).unwrap();
     b.link.samples = Some(Vec::new());
+    let sent = u64::from(b.counters().unwrap().ticks);
     let multisine = GeneratorSettings::Multisine(Multisine {
         center_um: 5.0,
         peak_um: 1.0,
@@ -121,11 +122,14 @@ fn disarming_does_not_wait_for_staging() {
         Some(Reply::Done { tick }) => u64::from(tick),
         other => panic!("{other:?}"),
     };
-    let staged = tick(b.link.reply(staging));
+    let staged = b.link.reply(staging);
     let answered = tick(b.link.reply(disarming));
     let samples = b.link.samples.take().unwrap();
     let open = samples.iter().find(|s| !Flags(s.flags).state().is_active()).unwrap().tick;
-    println!("staged from tick {staged}, open from {open}, disarming answered at {answered}");
-    assert!(open + 10 < staged, "open from tick {open}, staged from {staged}");
-    assert!(answered >= staged, "the answer comes in turn");
+    println!("sent at tick {sent}, open from {open}, disarming answered at {answered}; {staged:?}");
+    assert!(open <= sent + 20, "sent at tick {sent}, open from {open}");
+    assert!(open + 10 < answered, "open from tick {open}, the answer comes in turn: {answered}");
+    // What is left of the staging finds the loop open.
+    let refusal = Refusal::Control(flexstage::Refusal::NotArmed);
+    assert_eq!(staged, Some(Reply::Refused(refusal)));
 }
