@@ -10,10 +10,11 @@ use crate::stages::model::StrainLoss;
 
 /// Parts of a tick.
 const PARTS: usize = 8;
-/// Change of the current in a tick, as a share of it, up to which one part will do.
-const STEADY: f64 = 0.02;
+/// Change of the loss in a tick up to which one part will do, over its growth by a factor of e of the current: up to a fifth of the change
+/// comes late then.
+const STEADY: f64 = 0.01;
 /// Error of a current to which a part is solved, as a share of it.
-const TOLERANCE: f64 = 1.0e-10;
+const TOLERANCE: f64 = 1.0e-7;
 /// Most rounds of a part; a bracket of everything is halved to nothing in as many.
 const ROUNDS: usize = 60;
 
@@ -87,17 +88,14 @@ impl StrainLossSim {
     /// Force at the end of a tick (N) that would end with `charge_c` if the force stayed; every newton draws `per_newton_c`.
     pub(super) fn solve(&mut self, charge_c: f64, per_newton_c: f64) -> f64 {
         let held_c = charge_c - self.charge_c;
-        let end_c = held_c * self.shape[PARTS - 1];
-        let mut now = self.start;
-        if (end_c - now.rate_c).abs() <= STEADY * end_c.abs() {
-            now = self.part(now, end_c, per_newton_c);
+        let whole = self.part(self.start, held_c * self.shape[PARTS - 1], per_newton_c);
+        self.next = if (whole.force_n - self.start.force_n).abs() <= STEADY * self.force_n {
+            whole
         } else {
-            for shape in self.shape {
-                now = self.part(now, held_c * shape, per_newton_c * PARTS as f64);
-            }
-        }
-        self.next = now;
-        now.force_n
+            let through = |now, shape| self.part(now, held_c * shape, per_newton_c * PARTS as f64);
+            self.shape.into_iter().fold(self.start, through)
+        };
+        self.next.force_n
     }
 
     /// A part in which `held_c` a tick would be drawn if the force stayed: `i = held + per_newton (F(i) - F)`. The right side never rises
@@ -110,7 +108,7 @@ impl StrainLossSim {
             let (force_n, slope) = self.force(rate);
             let error = rate - held_c - per_newton_c * (force_n - before.force_n);
             if error.abs() <= TOLERANCE * rate.abs() || error == 0.0 {
-                break;
+                return Loss { force_n, rate_c: rate };
             }
             if error > 0.0 {
                 high = rate;
