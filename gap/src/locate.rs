@@ -154,7 +154,7 @@ fn rest_against_drive(scene: &Scene, raw: &Stack, axis: usize) -> (f64, f64) {
         let energy: f64 = residual.iter().map(|x| x * x).sum();
         let cell = if still { &mut rest } else { &mut driven };
         cell.0 += energy;
-        cell.1 += row.len() as f64;
+        cell.1 += channel.samples();
     }
     let rms = |(e, n): (f64, f64)| if n > 0.0 { (e / n - 1.0).max(0.0).sqrt() } else { 0.0 };
     (rms(rest), rms(driven))

@@ -26,6 +26,15 @@ fn off_nm(values: &[(&str, f64)], finer: usize, drive: impl Fn(f64) -> f64) -> (
     (1.0e9 * off, 1.0e9 * rms(&coarse.position_m[0], &without.position_m[0]))
 }
 
+/// Every drive moves the axis, and no more than a share of that is off.
+fn check<const N: usize>(law: &str, found: [(&str, (f64, f64)); N], most: [f64; N]) {
+    for ((name, (off, moved)), most) in found.into_iter().zip(most) {
+        eprintln!("{law}, {name}: {off:.3} nm rms of {moved:.1}");
+        assert!(moved > 10.0, "{law}, {name}: only {moved} nm rms");
+        assert!(off < most * moved, "{law}, {name}: {off} nm rms of {moved}");
+    }
+}
+
 #[test]
 fn a_tick_comes_to_where_sixteenths_of_one_do() {
     let growth = [("per_decade", 0.3), ("stiffening", 1.0)];
@@ -47,11 +56,7 @@ fn a_tick_comes_to_where_sixteenths_of_one_do() {
             ("sines", off_nm(values, FINE, sine)),
             ("steps", off_nm(values, FINE, steps)),
         ];
-        for ((name, (off, moved)), most) in found.into_iter().zip(most) {
-            eprintln!("{law}, {name}: {off:.3} nm rms of {moved:.1}");
-            assert!(moved > 10.0, "{law}, {name}: only {moved} nm rms");
-            assert!(off < most * moved, "{law}, {name}: {off} nm rms of {moved}");
-        }
+        check(law, found, most);
     }
 }
 
@@ -80,10 +85,6 @@ fn strain_that_comes_late_does_so_within_a_tick() {
             ("steps", off_nm(values, FINE_OF_STRAIN, steps)),
             ("noise", off_nm(values, FINE_OF_STRAIN, noise)),
         ];
-        for ((name, (off, moved)), most) in found.into_iter().zip(most) {
-            eprintln!("{law}, {name}: {off:.3} nm rms of {moved:.1}");
-            assert!(moved > 10.0, "{law}, {name}: only {moved} nm rms");
-            assert!(off < most * moved, "{law}, {name}: {off} nm rms of {moved}");
-        }
+        check(law, found, most);
     }
 }

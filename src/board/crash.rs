@@ -2,8 +2,8 @@
 //!
 //! # Design
 //! A record in `.uninit` RAM, which start-up code leaves alone (SRAM keeps its content through every reset but power loss; a
-//! magic number and a CRC tell content from noise). The message stays as it is until the next one, and says of which run it is: the next start reports
-//! it, and no later one. Whoever crashes outside the tick asks the tick for a soft return of the
+//! magic number and a CRC tell content from noise). The message stays as it is until the next one, and says of which run it is: the
+//! next start reports it, and no later one. Whoever crashes outside the tick asks the tick for a soft return of the
 //! drives and waits for it before the reset; a HardFault, which even the tick cannot interrupt, returns them itself.
 //!
 //! # Limits

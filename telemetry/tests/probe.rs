@@ -96,6 +96,13 @@ fn a_stop_parks_and_keeps_what_was_complete() {
     assert!(Flags(status.flags).is_parked());
 }
 
+/// The command that bytes for the board are.
+fn command_in(bytes: &[u8]) -> Option<Command> {
+    let mut deframer = Deframer::new();
+    deframer.feed(bytes);
+    message::decode_command(&deframer.next_frame()?).ok()
+}
+
 /// Notes the commands for the board; asks for a stop while the first waveform is on its way.
 struct StopAtStaging {
     board: VirtualBoard,
@@ -109,11 +116,7 @@ impl Transport for StopAtStaging {
     }
 
     fn send(&mut self, bytes: &[u8]) -> Result<()> {
-        let mut deframer = Deframer::new();
-        deframer.feed(bytes);
-        if let Some(frame) = deframer.next_frame()
-            && let Ok(command) = message::decode_command(&frame)
-        {
+        if let Some(command) = command_in(bytes) {
             if matches!(command, Command::Stage { .. }) {
                 self.stop.store(true, Ordering::Release);
             }
@@ -158,11 +161,7 @@ impl Transport for Silent {
     }
 
     fn send(&mut self, bytes: &[u8]) -> Result<()> {
-        let mut deframer = Deframer::new();
-        deframer.feed(bytes);
-        if let Some(frame) = deframer.next_frame()
-            && let Ok(command) = message::decode_command(&frame)
-        {
+        if let Some(command) = command_in(bytes) {
             self.is_silent |= matches!(command, Command::Start { .. });
             if self.is_silent && !self.takes_settings && matches!(command, Command::SetSettings(_))
             {
