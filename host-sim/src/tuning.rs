@@ -91,8 +91,8 @@ fn axis_settings(rig: &Rig, k: usize, axis: &Axis) -> AxisSettings {
     let resonance_hz =
         ((piezo.stiffness_n_per_m + f64::from(mechanism.stiffness_n_per_m)) / moving_kg).sqrt()
             / std::f64::consts::TAU;
-    // The core models one pole: a second one delays about as much as a slower first.
-    let further = effect("amplifier-bandwidth", "further_pole").unwrap_or(0.0);
+    // The core models one pole: a second one delays about as much as a slower first, and so do two that ring.
+    let further = effect("amplifier-bandwidth", "further_pole").unwrap_or(0.0).min(1.0);
     let time_constant_s =
         axis.amplifier.time_constant_s * ratio("amplifier-bandwidth", "ratio") * (1.0 + further);
     AxisSettings {

@@ -94,6 +94,39 @@ fn a_further_pole_is_a_second_exponential() {
 }
 
 #[test]
+fn two_poles_that_ring_overshoot_as_their_damping_ratio_says() {
+    let step = |rate_hz: f64, further_pole: f64, current_a: Option<f64>| {
+        let mut rig = single("amplifier-bandwidth", &[("further_pole", further_pole)]);
+        if let Some(current_a) = current_a {
+            rig.set("amplifier-current-limit", ONE, "current_a", current_a).unwrap();
+        }
+        run(&rig, rate_hz, 0.1, |t| if t < 0.05 { 0.0 } else { 80.0 }).monitor_v.remove(0)
+    };
+    let tau = one_axis().axes[0].amplifier.time_constant_s;
+    // further_pole 4 is a damping ratio of 1/2: 16.3 % over, at pi/omega_d.
+    let v = step(1.0e5, 4.0, None);
+    let highest = v.iter().copied().fold(0.0, f64::max);
+    assert!((highest / 80.0 - 1.163).abs() < 1.0e-3, "{highest} V");
+    let at_s = std::f64::consts::PI * 4.0 * tau / 3.0f64.sqrt();
+    let when = v.iter().position(|v| *v == highest).unwrap() as f64 * 1.0e-5 - 0.05;
+    assert!((when - at_s).abs() < 2.0e-5, "{when} s, expected {at_s}");
+    // Ticks of any length give the same, and just above two equal poles it is what they are.
+    for (i, coarse) in step(1.0e4, 4.0, None).iter().enumerate().skip(500) {
+        assert!((coarse - v[10 * i]).abs() < 1.0e-9, "sample {i}: {coarse} V, {} V", v[10 * i]);
+    }
+    let near = step(1.0e4, 1.0 + 1.0e-6, None);
+    for (equal, near) in step(1.0e4, 1.0, None).iter().zip(near) {
+        assert!((equal - near).abs() < 1.0e-3, "{equal} V, {near} V");
+    }
+    // Behind a slew limit it goes no faster than that, and comes to the same end.
+    let limited = step(1.0e4, 4.0, Some(0.2));
+    let fastest = |v: &[f64]| v.windows(2).map(|w| (w[1] - w[0]) * 1.0e4).fold(0.0, f64::max);
+    let most_v_per_s = fastest(&step(1.0e4, 0.0, Some(0.2)));
+    assert!(fastest(&limited) < 1.001 * most_v_per_s, "{} V/s", fastest(&limited));
+    assert!((limited.last().unwrap() - 80.0).abs() < 1.0e-6);
+}
+
+#[test]
 fn current_limit_makes_ramps_of_current_over_capacitance() {
     let rig = single("amplifier-current-limit", &[("current_a", 0.2)]);
     let step = |height: f64| {

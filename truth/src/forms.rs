@@ -21,6 +21,12 @@ pub(crate) fn apply(
     rng: &mut StdRng,
 ) -> bool {
     match name {
+        // Feedback with less phase margin than one pole has.
+        "amplifier-bandwidth" => {
+            let zeta = form.random_range(0.4..0.95);
+            let rise_s = axis.constants.amplifier_s * (1.0 + size);
+            axis.ringing = Some((2.0 * zeta / rise_s, zeta));
+        }
         // Into the small-signal capacitance of one size of stack, whatever the stack takes.
         "amplifier-current-limit" => axis.slew_v_per_s = 0.6 / (1.0 + size) / 2e-6,
         "amplifier-hum" => axis.amplifier_hum = hum(size, form, rng),

@@ -37,6 +37,7 @@ impl Options {
 struct Moving {
     command: Vec<f32>,
     pole_v: f64,
+    slope_v_per_s: f64,
     output_v: f64,
     hum_v: f64,
     position_m: f64,
@@ -98,6 +99,7 @@ pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Opt
         moving.push(Moving {
             command: Vec::with_capacity(experiment.ticks()),
             pole_v: 0.0,
+            slope_v_per_s: 0.0,
             output_v: 0.0,
             hum_v: 0.0,
             position_m: 0.0,
@@ -329,7 +331,14 @@ fn amplifier(axis: &AxisWorld, state: &mut Moving, asked: f64, time: f64, dt: f6
     } else {
         asked
     };
-    let mut rise = (target - state.output_v + state.hum_v) * state.amplifier_share;
+    let gap = target - state.output_v + state.hum_v;
+    let mut rise = match axis.ringing {
+        Some((omega, zeta)) => {
+            let pull = omega * omega * gap - 2.0 * zeta * omega * state.slope_v_per_s;
+            dt * settled(state.slope_v_per_s + dt * pull)
+        }
+        None => gap * state.amplifier_share,
+    };
     let (limit_a, soft) = axis.current;
     if limit_a.is_finite() {
         // Charge by charge: what the stack takes a volt depends on its memory and on the load.
@@ -343,6 +352,7 @@ fn amplifier(axis: &AxisWorld, state: &mut Moving, asked: f64, time: f64, dt: f6
     if axis.slew_v_per_s > 0.0 {
         rise = rise.clamp(-axis.slew_v_per_s * dt, axis.slew_v_per_s * dt);
     }
+    state.slope_v_per_s = rise / dt;
     let free = state.output_v - state.hum_v + rise;
     state.hum_v = axis.amplifier_hum.at(time + dt);
     state.output_v = settled(free + state.hum_v);

@@ -38,6 +38,8 @@ pub struct AxisWorld {
     pub delay_s: f64,
     /// Second pole of the amplifier (s); 0 for none.
     pub second_pole_s: f64,
+    /// Natural frequency (rad/s) and damping ratio of an amplifier whose feedback rings, instead of its pole.
+    pub ringing: Option<(f64, f64)>,
     /// Largest current of the amplifier (A), and whether it is reached softly.
     pub current: (f64, bool),
     /// Fastest slope of the amplifier (V/s); 0 for any.
@@ -306,6 +308,7 @@ impl AxisWorld {
             drive: (1.0, 0.0),
             delay_s: 0.0,
             second_pole_s: 0.0,
+            ringing: None,
             current: (f64::INFINITY, false),
             slew_v_per_s: 0.0,
             clip: (axis.rails_v.0, axis.rails_v.1, 0.0),

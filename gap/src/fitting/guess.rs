@@ -377,7 +377,9 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             for ratio in [typical("ratio"), 4.0] {
                 wanted.push(with(&[("ratio", ratio)]));
             }
-            wanted.push(with(&[("further_pole", typical("further_pole"))]));
+            for further_pole in [typical("further_pole"), 2.0] {
+                wanted.push(with(&[("further_pole", further_pole)]));
+            }
         }
         "friction" => {
             for metres in [0.003, 0.03, 0.2] {

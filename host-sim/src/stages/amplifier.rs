@@ -1,7 +1,11 @@
 //! Amplifier of one axis: drive errors, dead time, what sits at its input, first order towards a held target, slew limit, a further pole
-//! if it has one, rails, and what sits at its output. Exact between ticks; no sub-steps.
+//! if it has one (or two that ring, in `ringing`), rails, and what sits at its output. Exact between ticks; no sub-steps.
 
 use std::collections::VecDeque;
+
+mod ringing;
+
+use ringing::Ringing;
 
 use super::axis::Load;
 use super::knee::Knee;
@@ -26,6 +30,7 @@ pub struct AmplifierSim {
     output: Vec<Box<dyn VoltageBlock>>,
     state_v: f64,
     further: Option<Further>,
+    ringing: Option<Ringing>,
     plain: bool,
 }
 
@@ -101,12 +106,14 @@ impl AmplifierSim {
         let tau = amplifier.time_constant_s;
         let lengths_s = [fraction * step_s, (1.0 - fraction) * step_s];
         let softness = amplifier.slew.as_ref().map_or(0.0, |slew| slew.knee());
-        let further = Further::new(tau, amplifier.further_s, step_s);
+        let does_ring = amplifier.further_pole > 1.0 && tau > 0.0;
+        let further_s = if does_ring { 0.0 } else { amplifier.further_pole * tau };
+        let further = Further::new(tau, further_s, step_s);
         Self {
             plain: amplifier.slew.is_none()
                 && amplifier.input.is_empty()
                 && amplifier.output.is_empty()
-                && amplifier.further_s == 0.0
+                && amplifier.further_pole == 0.0
                 && delay_ticks == 0.0,
             gain: drive.gain,
             offset_v: drive.offset_v,
@@ -123,6 +130,7 @@ impl AmplifierSim {
             output: amplifier.output,
             state_v: 0.0,
             further,
+            ringing: does_ring.then(|| Ringing::new(tau, amplifier.further_pole, lengths_s)),
         }
     }
 
@@ -141,6 +149,9 @@ impl AmplifierSim {
         self.state_v = state_v.clamp(self.min_v, self.max_v);
         if let Some(further) = &mut self.further {
             further.state_v = self.state_v;
+        }
+        if let Some(ringing) = &mut self.ringing {
+            ringing.rest();
         }
         self.pipeline.clear();
         if !self.plain {
@@ -220,6 +231,11 @@ impl AmplifierSim {
 
     /// First order towards the target with the slope held between limits: a ramp, then an exponential, or what a knee makes of them.
     fn segment(&mut self, target_v: f64, part: usize, limits: Option<(f64, f64)>) {
+        if let Some(ringing) = &mut self.ringing {
+            let v = ringing.advance(self.state_v, target_v, part, limits);
+            self.keep_within(v);
+            return;
+        }
         let (segment, knee) = (self.segments[part], &self.knees[part]);
         let gap = target_v - self.state_v;
         if let Some((down, up)) = limits {
@@ -268,6 +284,10 @@ impl AmplifierSim {
         if let Some(further) = &mut self.further {
             further.state_v = clamp(further.state_v, self.min_v, self.max_v);
         }
+        // At a rail the output stage holds still.
+        if let Some(ringing) = self.ringing.as_mut().filter(|_| self.state_v != v) {
+            ringing.rest();
+        }
     }
 }
 
@@ -293,8 +313,8 @@ mod tests {
     fn an_output_that_dies_away_comes_to_zero() {
         const STEP_S: f64 = 1.0e-4;
         let load = Load { free_elastance: 1.0e5, tangents_v_per_c: [0.0; 2] };
-        // In one piece, and in parts with a further pole.
-        for further_pole in [0.0, 0.5] {
+        // In one piece, in parts with a further pole, and with two that ring.
+        for further_pole in [0.0, 0.5, 2.0] {
             let mut rig = Rig::named("handley").unwrap();
             let axis = Place::Axis(0);
             rig.set("amplifier-bandwidth", axis, "further_pole", further_pole).unwrap();

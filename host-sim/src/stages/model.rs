@@ -55,8 +55,9 @@ pub struct DriveModel {
 pub struct AmplifierModel {
     /// Time constant, s.
     pub time_constant_s: f64,
-    /// Time constant of a further pole, behind the slew limit, s; 0 without one.
-    pub further_s: f64,
+    /// Time constant of a further pole, behind the slew limit, over the first one's, 1; 0 without one. Above 1 the two are a pair that
+    /// rings: `further_pole tau^2 v'' + 2 tau v' + v = target`.
+    pub further_pole: f64,
     /// Lower rail, V.
     pub min_v: f64,
     /// Upper rail, V.
@@ -263,7 +264,7 @@ impl AxisModel {
         Self {
             drive: DriveModel { gain: 1.0, offset_v: 0.0, delay_s: 0.0, crosstalk: Vec::new() },
             amplifier: AmplifierModel {
-                further_s: 0.0,
+                further_pole: 0.0,
                 time_constant_s: axis.amplifier.time_constant_s,
                 min_v: axis.amplifier.min_v,
                 max_v: axis.amplifier.max_v,
