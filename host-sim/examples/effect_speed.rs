@@ -74,6 +74,12 @@ fn main() {
     tied.set("stiffness-coupling", pair, "stiffness_n_per_m", 2.0e5).expect("in its bounds");
     tied.set("inertia", Place::Axis(0), "added_kg", 0.1).expect("in its bounds");
     rigs.push(("stiffness-coupling, inertia".to_owned(), tied));
+    // Contacts that slip one after the other.
+    let mut slips = nominal.clone();
+    for (parameter, value) in [("coulomb_n", 5.0), ("corner", 0.9), ("spread_decades", 1.5)] {
+        slips.set("friction", Place::Axis(0), parameter, value).expect("in its bounds");
+    }
+    rigs.push(("friction spread_decades".to_owned(), slips));
     // A series loss whose voltage goes with a power of the current.
     let mut power = nominal.clone();
     for (parameter, value) in [("resistance_ohm", 50.0), ("loss_exponent", 0.5)] {

@@ -292,6 +292,30 @@ fn friction_with_a_corner_is_a_spring_until_it_slips() {
     );
 }
 
+/// Contacts that slip one after the other: the chord of the force over the way is what the sum of springs and sliders says.
+#[test]
+fn friction_slips_part_after_part() {
+    let settings = |spread| {
+        [("coulomb_n", 8.0), ("presliding_m", 5e-7), ("corner", 1.0), ("spread_decades", spread)]
+    };
+    let rise = |rig: &Rig, volts: f64| {
+        *run(rig, 1e4, 1.0, |t| volts * (2.0 * t).min(1.0)).position_m[0].last().unwrap()
+    };
+    // A way of 0.5 to 0.6 um, between the shortest and the longest: the force is that which bends a spring of the same chord to the same place.
+    let rig = single("friction", &settings(2.0));
+    let reach = rise(&rig, 8.0);
+    let slip_m = |part: usize| 5e-7 * 10f64.powf(2.0 * ((part as f64 + 0.5) / 8.0 - 0.5));
+    let force_n: f64 = (0..8).map(|part| (reach / slip_m(part)).min(1.0)).sum();
+    assert!((3.0..7.0).contains(&force_n), "{force_n} N at {reach} m");
+    let chord = single("stiffness", &[("change_n_per_m", force_n / reach)]);
+    assert!((rise(&chord, 8.0) / reach - 1.0).abs() < 1e-3, "{} {reach}", rise(&chord, 8.0));
+    // Without a spread they all slip at once, and with the smallest one nearly so.
+    let (none, least) = (single("friction", &settings(0.0)), single("friction", &settings(1e-9)));
+    for volts in [8.0, 60.0] {
+        assert!((rise(&none, volts) / rise(&least, volts) - 1.0).abs() < 1e-9, "{volts} V");
+    }
+}
+
 /// What breaks loose at creeping speeds is more than what slides at fast ones, by the share that is asked for.
 #[test]
 fn friction_takes_more_to_break_loose_than_to_slide() {

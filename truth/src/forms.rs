@@ -54,7 +54,18 @@ pub(crate) fn apply(
                 axis.branches.push((size / 3.0, 10f64.powi(decade)));
             }
         }
-        "friction" => axis.viscous_at_rest = Some((size, between(form, 5e-5, 2e-3))),
+        "friction" => {
+            let speed = between(form, 5e-5, 2e-3);
+            if form.random_bool(0.5) {
+                axis.viscous_at_rest = Some((size, speed));
+            } else {
+                // Contacts of any strength, in any order, each with a reach of its own.
+                for _ in 0..form.random_range(4..10) {
+                    let limit_n = size * between(rng, 0.05, 0.5);
+                    axis.contacts.push((limit_n, limit_n / between(form, 2e-8, 1.5e-6)));
+                }
+            }
+        }
         "sensor-nonlinearity" => {
             axis.bend = Some(if form.random_bool(0.5) {
                 Bend::Square(signed)

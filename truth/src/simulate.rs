@@ -53,6 +53,7 @@ struct Moving {
     branches: Vec<f64>,
     modes: Vec<(f64, f64)>,
     friction_n: f64,
+    contacts_n: Vec<f64>,
     filter: (f64, f64),
     outside_n: f64,
     /// Delay of the command (steps), and shares by which the poles approach their targets in a step.
@@ -115,6 +116,7 @@ pub fn run(world: &mut World, experiment: &Experiment, idle_s: f64, options: Opt
             branches: vec![0.0; axis.branches.len()],
             modes: vec![(0.0, 0.0); axis.modes.len()],
             friction_n: 0.0,
+            contacts_n: vec![0.0; axis.contacts.len()],
             filter: (0.0, 0.0),
             outside_n: 0.0,
             delay_steps: 0.0,

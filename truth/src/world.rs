@@ -62,6 +62,8 @@ pub struct AxisWorld {
     pub branches: Vec<(f64, f64)>,
     /// Friction of the guide.
     pub friction: Option<Friction>,
+    /// Contacts of the guide that slip one after the other: limit (N) and stiffness (N/m) of each.
+    pub contacts: Vec<(f64, f64)>,
     /// Friction without rest: force (N), and speed (m/s) where it reaches 0.7 of that, on a hyperbola's way from damper to Coulomb.
     pub viscous_at_rest: Option<(f64, f64)>,
     /// Factor and offset (m) of the gauge.
@@ -320,6 +322,7 @@ impl AxisWorld {
             modes: Vec::new(),
             branches: Vec::new(),
             friction: None,
+            contacts: Vec::new(),
             viscous_at_rest: None,
             sensor: (1.0, 0.0),
             bend: None,

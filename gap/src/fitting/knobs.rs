@@ -317,10 +317,11 @@ fn walks(order: usize, end: f64) -> f64 {
 const EXCLUSIVE: [&str; 2] = ["hysteresis-rate", "sensor-drift"];
 
 /// Parameters that stay at their lower bound in a fit that starts there: a variety of the effect, of which there are starts of its own.
-const STAYS: [(&str, &str); 4] = [
+const STAYS: [(&str, &str); 5] = [
     ("friction", "creeping_m_per_s"),
     ("friction", "corner"),
     ("friction", "stribeck"),
+    ("friction", "spread_decades"),
     ("amplifier-current-limit", "knee"),
 ];
 

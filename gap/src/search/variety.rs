@@ -5,7 +5,8 @@
 //! one. So where the plain variety leaves something the other one is fitted as well.
 //!
 //! Creep goes with the logarithm of time and with the voltage, or a little otherwise in either: two numbers more, which most stacks do not need.
-//! What rubs yields ever more before it slips, or holds as a spring does until it slips; it may take more to break loose than to slide.
+//! What rubs yields ever more before it slips, or holds as a spring does until it slips; it may take more to break loose than to slide,
+//! and many contacts may slip one after the other.
 //!
 //! A spring from axis to axis holds each of them as well, a base that both stand on gives way under each: that is not the spring of a matrix, and
 //! all three have one number.
@@ -27,8 +28,10 @@ struct Variety {
     effect: &'static str,
     /// Zero in the plain variety.
     parameter: &'static str,
-    /// Where the parameter starts.
+    /// Where the parameter starts,
     start: f64,
+    /// and where another one starts that the variety needs.
+    with: Option<(&'static str, f64)>,
     /// By how much the effect's first size grows there.
     growth: f64,
     /// Share of what the plain variety leaves that this one may leave.
@@ -37,11 +40,12 @@ struct Variety {
     granted_below: Option<f64>,
 }
 
-const VARIETIES: [Variety; 6] = [
+const VARIETIES: [Variety; 7] = [
     Variety {
         effect: "amplifier-current-limit",
         parameter: "knee",
         start: 0.35,
+        with: None,
         growth: 1.25,
         leaves: 1.0,
         granted_below: None,
@@ -50,6 +54,7 @@ const VARIETIES: [Variety; 6] = [
         effect: "creep",
         parameter: "level",
         start: 0.1,
+        with: None,
         growth: 1.0,
         leaves: 1.0,
         granted_below: None,
@@ -58,14 +63,25 @@ const VARIETIES: [Variety; 6] = [
         effect: "friction",
         parameter: "corner",
         start: 0.7,
+        with: None,
         growth: 1.0,
         leaves: 0.8,
         granted_below: Some(0.25),
     },
     Variety {
         effect: "friction",
+        parameter: "spread_decades",
+        start: 1.5,
+        with: Some(("corner", 0.9)),
+        growth: 1.0,
+        leaves: 0.5,
+        granted_below: None,
+    },
+    Variety {
+        effect: "friction",
         parameter: "stribeck",
         start: 0.4,
+        with: None,
         growth: 0.85,
         leaves: 0.4,
         granted_below: None,
@@ -75,6 +91,7 @@ const VARIETIES: [Variety; 6] = [
         effect: "stiffness-coupling",
         parameter: "own",
         start: -1.0,
+        with: None,
         growth: 1.0,
         leaves: 0.5,
         granted_below: None,
@@ -83,6 +100,7 @@ const VARIETIES: [Variety; 6] = [
         effect: "stiffness-coupling",
         parameter: "own",
         start: 1.0,
+        with: None,
         growth: 1.0,
         leaves: 0.5,
         granted_below: None,
@@ -173,9 +191,9 @@ impl Search<'_> {
         if left < CLOSED * self.gap || model.fit.cost > effort.hopeless || does_nothing {
             return Ok(model);
         }
-        let Some(index) = info.parameters.iter().position(|p| p.name == variety.parameter) else {
-            return Ok(model);
-        };
+        let position = |name: &str| info.parameters.iter().position(|p| p.name == name);
+        let Some(index) = position(variety.parameter) else { return Ok(model) };
+        let with = variety.with.and_then(|(name, start)| Some((position(name)?, start)));
         let width = info.parameters.len();
         let range = model.knob_range(last);
         let mut values = model.fit.values.clone();
@@ -183,6 +201,9 @@ impl Search<'_> {
             if values[place + index] == info.parameters[index].zero {
                 values[place + index] = variety.start;
                 values[place] *= variety.growth;
+                if let Some((other, start)) = with {
+                    values[place + other] = start;
+                }
             }
         }
         if values == model.fit.values {

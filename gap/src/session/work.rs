@@ -36,8 +36,9 @@ const HEAVY: [(&str, u64); 14] = [
     ("sensor-drift", 5),
 ];
 /// The same for a law of an effect that has several, by the parameter that is not at its zero.
-const HEAVY_LAWS: [(&str, &str, u64); 4] = [
+const HEAVY_LAWS: [(&str, &str, u64); 5] = [
     ("hysteresis-shape", "beside_v", 60),
+    ("friction", "spread_decades", 12),
     ("hysteresis-rate", "per_decade", 17),
     // That of a power of the current, which a fit turns it into.
     ("hysteresis-rate", "resistance_ohm", 29),

@@ -62,10 +62,22 @@ pub(super) fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside: &Outs
         let level = friction.coulomb_n * (1.0 + (friction.breakaway - 1.0) * stribeck);
         (level, friction.coulomb_n / friction.presliding_m)
     });
-    let rubbed = |travel: f64| {
-        let Some((level, bristle)) = grip else { return (0.0, 0.0) };
-        bristles(state.friction_n, level, bristle, travel)
+    let gripped = |travel: f64| {
+        grip.map_or((0.0, 0.0), |(level, bristle)| {
+            bristles(state.friction_n, level, bristle, travel)
+        })
     };
+    let slipped = |held_n: f64, (limit_n, stiffness): (f64, f64), travel: f64| {
+        (held_n + stiffness * travel).clamp(-limit_n, limit_n)
+    };
+    let rubbed = |travel: f64| {
+        let contacts = state.contacts_n.iter().zip(&axis.contacts);
+        contacts.fold(gripped(travel), |(sum, slope), (&held_n, &contact)| {
+            let n = slipped(held_n, contact, travel);
+            (sum + n, slope + if n.abs() < contact.0 { contact.1 } else { 0.0 })
+        })
+    };
+    let rubs = axis.friction.is_some() || !axis.contacts.is_empty();
 
     // The speed that the loop grows with is that of the drive, as a current into the whole capacitance: with that of the charge, a
     // faster fall from above would lift the loop and fall faster still, and the stack would chatter where it stands.
@@ -130,11 +142,15 @@ pub(super) fn mechanics(axis: &mut AxisWorld, state: &mut Moving, outside: &Outs
         // A kink that throws the tangent from side to side is halved.
         travel = if rounds < 6 { gone } else { 0.5 * (gone + travel) };
         rounds += 1;
-        if axis.friction.is_none() || moved < 1e-15 || rounds == 40 {
+        if !rubs || moved < 1e-15 || rounds == 40 {
             break;
         }
     }
-    state.friction_n = rubbed(travel).0;
+    let friction_n = gripped(travel).0;
+    for (held_n, &contact) in state.contacts_n.iter_mut().zip(&axis.contacts) {
+        *held_n = slipped(*held_n, contact, travel);
+    }
+    state.friction_n = friction_n;
     if let Rate::Relaxing(..) = axis.rate {
         state.relaxing_v = settled(extra(q, last).0);
     }
