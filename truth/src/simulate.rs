@@ -354,6 +354,11 @@ fn amplifier(axis: &AxisWorld, state: &mut Moving, asked: f64, time: f64, dt: f6
     if axis.slew_v_per_s > 0.0 {
         rise = rise.clamp(-axis.slew_v_per_s * dt, axis.slew_v_per_s * dt);
     }
+    if axis.ringing.is_some() {
+        // What rings over goes no farther than the supply.
+        let from = state.output_v - state.hum_v;
+        rise = (from + rise).clamp(low, high) - from;
+    }
     state.slope_v_per_s = rise / dt;
     let free = state.output_v - state.hum_v + rise;
     state.hum_v = axis.amplifier_hum.at(time + dt);

@@ -377,8 +377,12 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
             for ratio in [typical("ratio"), 4.0] {
                 wanted.push(with(&[("ratio", ratio)]));
             }
-            for further_pole in [typical("further_pole"), 2.0] {
-                wanted.push(with(&[("further_pole", further_pole)]));
+            wanted.push(with(&[("further_pole", typical("further_pole"))]));
+            // Two poles that ring out of step with what was recorded are worse than none: from there no fit gets to them.
+            for (ratio, further_pole) in
+                [(0.6, 2.0), (1.0, 2.0), (1.5, 2.0), (0.6, 5.0), (1.2, 5.0)]
+            {
+                wanted.push(with(&[("ratio", ratio), ("further_pole", further_pole)]));
             }
         }
         "friction" => {
