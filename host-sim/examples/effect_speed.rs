@@ -1,5 +1,5 @@
 //! Time for a simulated tick of one axis with each effect of the catalogue at its typical size:
-//! `cargo run --release -p host-sim --example effect_speed`.
+//! `cargo run --release -p host-sim --example effect_speed [RIG.toml]`, on the paper's rig where none is given.
 //!
 //! What a diagnosis costs is nearly all simulation, and it simulates every effect.
 
@@ -26,7 +26,10 @@ fn drive_v() -> Vec<f64> {
 }
 
 fn main() {
-    let nominal = Rig::named("handley").expect("an embedded rig");
+    let nominal = match std::env::args_os().nth(1) {
+        Some(path) => Rig::load(path.as_ref()).unwrap_or_else(|error| panic!("{error}")),
+        None => Rig::named("handley").expect("an embedded rig"),
+    };
     let drive = drive_v();
     let drives = vec![drive.as_slice(); nominal.axes.len()];
     let mut rigs = vec![("nothing".to_owned(), nominal.clone())];

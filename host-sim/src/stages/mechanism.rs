@@ -20,6 +20,10 @@ pub const MAX_STATES: usize = 12;
 const RESOLVED_PER_S: f64 = std::f64::consts::TAU * 20.0e3;
 /// Phase of the fastest resolved mode a sub-step, rad.
 const PHASE: f64 = 0.45;
+/// Turns (in radians) that a mode makes in the amplifier's time constant, up to which that holds. A faster one is excited the less, and goes so much
+/// farther in a sub-step: on a stage of 30 g that swings at 7 kHz behind 0.6 ms, four of them in a tick of 0.1 ms instead of sixteen leave
+/// 0.02 nm rms of the microns that it goes (`tests/rates.rs`).
+const EXCITED: f64 = 10.0;
 /// Most sub-steps.
 const MAX_SUBSTEPS: usize = 32;
 
@@ -52,7 +56,9 @@ pub fn substeps(model: &AxisModel, step_s: f64) -> usize {
     if model.piezo.steepest_v_per_c() == 0.0 && model.mechanism.forces.is_empty() {
         return 1;
     }
-    let wanted = (swings_at(model) * step_s / PHASE).ceil() as usize;
+    let omega = swings_at(model);
+    let phase = PHASE * (omega * model.amplifier.time_constant_s / EXCITED).max(1.0);
+    let wanted = (omega * step_s / phase).ceil() as usize;
     wanted.clamp(1, MAX_SUBSTEPS).next_power_of_two()
 }
 
