@@ -11,6 +11,7 @@ use host_sim::{RATES_HZ, Stretch};
 use recording::{Entry, Recording, Session};
 
 use crate::Error;
+use crate::session::wild;
 use crate::session::work::Ticks;
 
 /// Time after lost ticks in which nothing is scored, in seconds: five time constants of a slow amplifier.
@@ -39,12 +40,16 @@ pub struct Track {
     pub monitor_v: Vec<Option<Vec<f32>>>,
     /// Measured position of the axes that have it, micrometres.
     pub position_um: Vec<Option<Vec<f32>>>,
+    /// Tick of the first sample.
+    pub first_tick: u64,
     /// First sample to score.
     pub settle: usize,
     /// Samples before `settle_s`: no position is scored there.
     pub lead_in: usize,
-    /// `true` where a sample was recorded and is not too soon after a loss.
+    /// `true` where a sample was recorded, is not wild, and is not too soon after a loss.
     pub present: Vec<bool>,
+    /// Samples of which a wild reading was replaced by what its neighbours allow.
+    pub(crate) replaced: Vec<usize>,
     /// Lost ticks in this file.
     pub lost: u64,
     /// `true` when a setpoint was recorded: the drive may then depend on the measured position.
@@ -120,6 +125,7 @@ pub fn tracks(rig: &Rig, session: &Session) -> Result<(Vec<Track>, Vec<String>),
     // The stacks went through those as well.
     let scored = tracks.len();
     tracks.extend(unscored);
+    passed_over.extend(wild::leave_out(rig, &mut tracks)?);
     crate::session::past::remember(rig, &mut tracks);
     tracks.truncate(scored);
     Ok((tracks, passed_over))
@@ -207,9 +213,11 @@ fn track(rig: &Rig, entry: &Entry) -> Result<Track, Error> {
         drive_v,
         monitor_v: (0..axes).map(|axis| pick(&recording.monitor_v, axis)).collect(),
         position_um: (0..axes).map(|axis| pick(&recording.position_um, axis)).collect(),
+        first_tick: first,
         settle,
         lead_in: recording.settle_ticks() as usize,
         present,
+        replaced: Vec::new(),
         lost: n as u64 - recording.len() as u64,
         closed_loop,
         past: Vec::new(),

@@ -3,6 +3,7 @@
 //! | file | what it does |
 //! | --- | --- |
 //! | [`intake`] | lays recordings on their clocks |
+//! | `wild` | readings that no motion makes |
 //! | `past`, `memory` | what the stacks went through before a recording begins, and what of that nobody can know |
 //! | [`lead_in`] | what a single recording tells of that before it is scored |
 //! | [`floor`] | noise, measured |
@@ -29,4 +30,5 @@ pub mod pyramid;
 pub mod scene;
 pub(crate) mod spectra;
 pub mod split;
+mod wild;
 pub(crate) mod work;
