@@ -27,6 +27,7 @@ pub struct Entry {
 impl Session {
     /// Reads all recordings that lie directly in `folder`: `.parquet`, and `.csv` that carry their metadata or all `.csv`
     /// if a sample rate is given; other `.csv` are left out and noted. Other files (a rig, notes) and hidden ones are left alone.
+    /// Of recordings with the same samples the first one stays, and the others are noted: one that is fitted would be checked on itself.
     /// A recording that is damaged makes the session unusable: an answer from the others alone would be another one.
     pub fn read(folder: impl AsRef<Path>, csv_sample_rate_hz: Option<f64>) -> Result<Self> {
         let folder = folder.as_ref();
@@ -71,8 +72,23 @@ impl Session {
             let start = |entry: &Entry| entry.recording.meta.start_s;
             start(a).total_cmp(&start(b)).then_with(|| a.file.cmp(&b.file))
         });
+        session.leave_out_copies();
         session.notes.extend(session.differing_rigs());
         Ok(session)
+    }
+
+    fn leave_out_copies(&mut self) {
+        let mut kept: Vec<Entry> = Vec::with_capacity(self.recordings.len());
+        for entry in self.recordings.drain(..) {
+            match kept.iter().find(|first| has_same_samples(&first.recording, &entry.recording)) {
+                Some(first) => self.notes.push(format!(
+                    "{} was left out: its samples are those of {}, to the last digit.",
+                    entry.file, first.file
+                )),
+                None => kept.push(entry),
+            }
+        }
+        self.recordings = kept;
     }
 
     /// A session is of one rig. Who renames it in between still may mean the same, so this is no error.
@@ -90,4 +106,15 @@ impl Session {
     pub fn axes(&self) -> usize {
         self.recordings.iter().map(|entry| entry.recording.axes()).max().unwrap_or(0)
     }
+}
+
+/// Whether two recordings hold the same drives and positions at the same distances in time. What else they say of themselves does not count: a
+/// copy may have been given another name, start or counter, or have lost its monitors.
+fn has_same_samples(a: &Recording, b: &Recording) -> bool {
+    let since_first = |r: &Recording, row: usize| r.tick[row] - r.tick[0];
+    a.len() == b.len()
+        && a.meta.sample_rate_hz == b.meta.sample_rate_hz
+        && a.position_um == b.position_um
+        && a.drive_v == b.drive_v
+        && (0..a.len()).all(|row| since_first(a, row) == since_first(b, row))
 }

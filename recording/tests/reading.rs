@@ -78,7 +78,35 @@ fn what_it_holds_decides() {
         let message = refused(Recording::read_csv(at(name), f64::NAN), name);
         assert!(message.contains("100 Hz") && message.contains("NaN Hz"), "{message}");
     }
-    assert_eq!(Session::read(folder.path(), None).unwrap().recordings.len(), 2);
+    // As these two have the same samples, one of them is enough.
+    let session = Session::read(folder.path(), None).unwrap();
+    assert_eq!(session.recordings.len(), 1);
+    assert_eq!(
+        session.notes,
+        ["b.parquet was left out: its samples are those of a.csv, to the last digit."]
+    );
+}
+
+#[test]
+fn a_copy_is_known_by_its_samples() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut copy = example();
+    copy.meta.start_s += 100.0;
+    copy.meta.experiment = "again".into();
+    copy.tick.iter_mut().for_each(|tick| *tick += 5_000);
+    let mut other = example();
+    other.position_um[0].as_mut().unwrap()[3] += 1.0e-3;
+    let mut other_ticks = example();
+    *other_ticks.tick.last_mut().unwrap() += 1;
+    for (file, recording) in
+        [("a", example()), ("b", copy), ("c", other), ("d", other_ticks), ("e", example())]
+    {
+        recording.write(folder.path().join(file).with_extension("parquet")).unwrap();
+    }
+    let session = Session::read(folder.path(), None).unwrap();
+    let files: Vec<&str> = session.recordings.iter().map(|entry| entry.file.as_str()).collect();
+    assert_eq!(files, ["a.parquet", "c.parquet", "d.parquet"]);
+    assert_eq!(session.notes.len(), 2, "{:?}", session.notes);
 }
 
 #[test]
@@ -110,6 +138,8 @@ fn names_of_several_rigs_are_noted() {
     for (file, rig) in [("a.parquet", "old"), ("b.parquet", ""), ("c.parquet", "new")] {
         let mut recording = example();
         recording.meta.rig = rig.into();
+        // Else the later ones would be copies of the first.
+        recording.drive_v[0][0] += f32::from(file.as_bytes()[0]);
         recording.write(folder.path().join(file)).unwrap();
     }
     let notes = Session::read(folder.path(), None).unwrap().notes;
