@@ -2,7 +2,7 @@
 
 use host_sim::effects::Place;
 use host_sim::rig::Rig;
-use host_sim::{Axes, Input, simulate};
+use host_sim::{Axes, Input, Output, simulate};
 use rayon::prelude::*;
 
 use crate::diagnosis::NextExperiment;
@@ -26,7 +26,7 @@ const MOST_RIVALS: usize = 2;
 pub struct Standings {
     /// One a term.
     pub causes: Vec<CauseStanding>,
-    /// What would tell the first ambiguous one from its nearest rival.
+    /// What would tell the first ambiguous one from its rivals.
     pub next: Option<NextExperiment>,
 }
 
@@ -45,9 +45,9 @@ pub fn standings(search: &Search, model: &Model) -> Standings {
     let causes = (0..model.terms.len())
         .map(|term| {
             let Standing { confidence, rivals } = standing(search, model, term);
-            if let (None, Some((name, rival))) = (&next, rivals.first()) {
+            if next.is_none() && !rivals.is_empty() {
                 let own = (model.terms[term].name(), model);
-                next = next_experiment(search.scene, own, (name, rival));
+                next = next_experiment(search.scene, own, &rivals);
             }
             let rivals = rivals.iter().map(|(name, _)| name.to_string()).collect();
             CauseStanding { confidence, rivals }
@@ -225,16 +225,24 @@ fn menu(rig: &Rig, axes_of_interest: &[usize]) -> Vec<Probe> {
     menu
 }
 
-/// The probe of the menu on which two fitted models differ most against the noise.
-fn next_experiment(scene: &Scene, a: (&str, &Model), b: (&str, &Model)) -> Option<NextExperiment> {
+/// Difference from which a probe tells two models apart, in standard deviations of the noise.
+const TELLS_APART: f64 = 3.0;
+
+/// The probe of the menu that tells a fitted model from most of its rivals, and of several such the one on which it differs most against the
+/// noise from the nearest of them.
+fn next_experiment(
+    scene: &Scene,
+    own: (&str, &Model),
+    rivals: &[(&str, Model)],
+) -> Option<NextExperiment> {
     let axes: Vec<usize> =
-        a.1.terms.iter().flat_map(|t| t.axes()).fold(Vec::new(), |mut seen, axis| {
+        own.1.terms.iter().flat_map(|t| t.axes()).fold(Vec::new(), |mut seen, axis| {
             if !seen.contains(&axis) {
                 seen.push(axis);
             }
             seen
         });
-    let scored: Vec<(f64, String)> = menu(&a.1.fit.rig, &axes)
+    let scored: Vec<(Vec<f64>, String)> = menu(&own.1.fit.rig, &axes)
         .into_par_iter()
         .filter_map(|probe| {
             let drive: Vec<&[f64]> = probe.drive_v.iter().map(Vec::as_slice).collect();
@@ -249,32 +257,71 @@ fn next_experiment(scene: &Scene, a: (&str, &Model), b: (&str, &Model)) -> Optio
                 };
                 simulate(rig, &input, Axes::All).ok()
             };
-            let (x, y) = (run(&a.1.fit.rig)?, run(&b.1.fit.rig)?);
+            let x = run(&own.1.fit.rig)?;
             let skip = (0.5 * probe.rate_hz) as usize;
-            let score: f64 = (0..drive.len())
-                .filter_map(|axis| {
+            let score = |y: &Output| -> f64 {
+                let of_axis = |axis: usize| -> Option<f64> {
                     let sigma = scene.position_noise[axis].as_ref()?.sigma;
-                    let energy: f64 = x.position_m[axis]
-                        .iter()
-                        .zip(&y.position_m[axis])
-                        .skip(skip)
-                        .map(|(p, q)| ((p - q) * 1.0e6 / sigma).powi(2))
-                        .sum();
-                    Some(energy)
-                })
-                .sum();
-            Some((score.sqrt(), probe.words))
+                    let both = x.position_m[axis].iter().zip(&y.position_m[axis]).skip(skip);
+                    Some(both.map(|(p, q)| ((p - q) * 1.0e6 / sigma).powi(2)).sum())
+                };
+                (0..drive.len()).filter_map(of_axis).sum::<f64>().sqrt()
+            };
+            let scores: Option<Vec<f64>> =
+                rivals.iter().map(|(_, rival)| Some(score(&run(&rival.fit.rig)?))).collect();
+            Some((scores?, probe.words))
         })
         .collect();
-    let (score, words) = scored.into_iter().max_by(|p, q| p.0.total_cmp(&q.0))?;
-    let separates = vec![a.0.to_string(), b.0.to_string()];
-    let excitation = if score < 3.0 {
-        format!(
-            "none of the usual probes tells them apart (best: {words}; expected {score:.1} standard deviations)"
-        )
-    } else {
-        format!("{words} (expected to differ by {score:.0} standard deviations)")
-    };
+    let names: Vec<&str> = rivals.iter().map(|(name, _)| *name).collect();
+    in_words(own.0, &names, &scored)
+}
+
+/// How many rivals a probe tells apart, and by how much the nearest of those; by how much the nearest if it tells none.
+fn worth(scores: &[f64]) -> f64 {
+    let told = scores.iter().copied().filter(|&score| score >= TELLS_APART);
+    let (many, nearest) =
+        told.fold((0, f64::INFINITY), |(n, least), score| (n + 1, least.min(score)));
+    if many == 0 {
+        return scores.iter().copied().fold(0.0, f64::max) / TELLS_APART;
+    }
+    // The second part grows with the difference and stays below one.
+    f64::from(many) + nearest / (nearest + 1.0e6)
+}
+
+/// What to do by how much each probe differs from each rival (standard deviations): one experiment if one tells them all, or what else the
+/// others take.
+fn in_words(own: &str, rivals: &[&str], scored: &[(Vec<f64>, String)]) -> Option<NextExperiment> {
+    let (scores, words) = scored.iter().max_by(|p, q| worth(&p.0).total_cmp(&worth(&q.0)))?;
+    let told = scores.iter().copied().filter(|&score| score >= TELLS_APART);
+    let nearest = told.fold(f64::INFINITY, f64::min);
+    if nearest.is_infinite() {
+        let best = scores.iter().copied().fold(0.0, f64::max);
+        let who = if rivals.len() > 1 { "any of them" } else { "them" };
+        return Some(NextExperiment {
+            excitation: format!(
+                "none of the usual probes tells {who} apart (best: {words}; expected {best:.1} standard deviations)"
+            ),
+            separates: std::iter::once(&own).chain(rivals).map(ToString::to_string).collect(),
+        });
+    }
+    let mut excitation =
+        format!("{words} (expected to differ by {nearest:.0} standard deviations)");
+    let mut separates = vec![own.to_string()];
+    for (k, rival) in rivals.iter().enumerate() {
+        let best = scored.iter().max_by(|p, q| p.0[k].total_cmp(&q.0[k]))?;
+        if scores[k] >= TELLS_APART {
+            separates.push(rival.to_string());
+        } else if best.0[k] >= TELLS_APART {
+            separates.push(rival.to_string());
+            excitation +=
+                &format!("; for {rival}: {} ({:.0} standard deviations)", best.1, best.0[k]);
+        } else {
+            excitation += &format!(
+                "; none of the usual probes tells {own} from {rival} (at best {:.1} standard deviations)",
+                best.0[k]
+            );
+        }
+    }
     Some(NextExperiment { excitation, separates })
 }
 
@@ -283,5 +330,46 @@ pub fn place_words(place: Place) -> String {
     match place {
         Place::Axis(axis) => format!("axis {}", axis + 1),
         Place::Pair { on, from } => format!("axis {} from axis {}", on + 1, from + 1),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_probe_that_tells_all_rivals_is_worth_more() {
+        let order = [[0.0, 2.0], [2.9, 0.0], [3.0, 0.0], [1.0e9, 2.9], [4.0, 4.0], [5.0, 5.0e6]];
+        for pair in order.windows(2) {
+            assert!(worth(&pair[0]) < worth(&pair[1]), "{pair:?}");
+        }
+        assert!(worth(&[40.0]) < worth(&[50.0]));
+    }
+
+    #[test]
+    fn all_rivals_are_separated_or_said_not_to_be() {
+        let say = |rivals: &[&str], scores: &[&[f64]]| {
+            let name = |n: usize| ["a step", "a sweep"][n].to_string();
+            let scored: Vec<_> =
+                scores.iter().enumerate().map(|(n, of)| (of.to_vec(), name(n))).collect();
+            let next = in_words("creep", rivals, &scored).expect("a probe");
+            (next.separates.join(" "), next.excitation)
+        };
+        let both = ["stiffness", "friction"];
+        let (separates, words) = say(&both, &[&[50.0, 7.0], &[90.0, 2.0]]);
+        assert_eq!(separates, "creep stiffness friction");
+        assert_eq!(words, "a step (expected to differ by 7 standard deviations)");
+        let (separates, words) = say(&both, &[&[50.0, 1.0], &[2.0, 9.0]]);
+        assert_eq!(separates, "creep stiffness friction");
+        assert!(words.ends_with("; for friction: a sweep (9 standard deviations)"), "{words}");
+        let (separates, words) = say(&both, &[&[1.0, 7.0], &[2.0, 6.0]]);
+        assert_eq!(separates, "creep friction");
+        assert!(words.contains("tells creep from stiffness (at best 2.0"), "{words}");
+        let (separates, words) = say(&["stiffness"], &[&[7.0], &[8.0]]);
+        assert_eq!(separates, "creep stiffness");
+        assert_eq!(words, "a sweep (expected to differ by 8 standard deviations)");
+        let (separates, words) = say(&["stiffness"], &[&[1.0], &[0.5]]);
+        assert_eq!(separates, "creep stiffness");
+        assert!(words.starts_with("none of the usual probes tells them apart"), "{words}");
     }
 }
