@@ -18,7 +18,7 @@ use crate::search::found::{self, Found};
 use crate::session::dead::{self, Dead};
 use crate::session::energy::Energies;
 use crate::session::scene::{Channel, Scene, Stack, Wanted};
-use crate::session::split::{hold_out_last_third_of_gap, split};
+use crate::session::split::{blocks_note, hold_out_last_third_of_gap, split};
 use crate::session::{intake, past};
 use crate::{Error, Options, rest};
 
@@ -111,6 +111,9 @@ pub fn diagnose(rig: &Rig, session: &Session, options: &Options) -> Result<Outco
         .filter(|e: &&'static dyn Effect| !options.exclude.iter().any(|x| x == e.info().name))
         .collect();
     let ranges = crate::fitting::guess::ranges(&scene, rig, &nominal.raw)?;
+    if nominal.any_gap() && !by_blocks {
+        notes.extend(blocks_note(&scene));
+    }
     let mut looked = Looked { scene, nominal, found: None };
     let mut judged = Judged::default();
     let dead = if rig.output_map.is_none() {

@@ -65,6 +65,7 @@ pub fn sentence(diagnosis: &Diagnosis) -> String {
             })
             .collect(),
     );
+    let unfitted = unfitted(diagnosis);
     let left = match &diagnosis.rest {
         Some(rest) if !rest.words.is_empty() => {
             format!(" What is left: {}.", rest.words.join("; "))
@@ -73,7 +74,7 @@ pub fn sentence(diagnosis: &Diagnosis) -> String {
     };
     if let Some(band) = &diagnosis.band {
         return format!(
-            "{causes}: below {:.0} Hz the gap falls from {:.1} nm to {:.1} nm on recordings that were not fitted (noise {:.1} nm there); \
+            "{causes}: below {:.0} Hz the gap falls from {:.1} nm to {:.1} nm on {unfitted} (noise {:.1} nm there); \
              above, nothing in the catalogue accounts for it.{left}",
             band.below_hz, band.before_nm, band.after_nm, band.floor_nm
         );
@@ -90,7 +91,7 @@ pub fn sentence(diagnosis: &Diagnosis) -> String {
             gap.before_nm, gap.floor_nm
         ),
         Verdict::Explained => format!(
-            "{causes}: the gap falls from {:.1} nm to {:.1} nm on recordings that were not fitted (noise {:.1} nm; {closed:.1} % closed).{in_order}",
+            "{causes}: the gap falls from {:.1} nm to {:.1} nm on {unfitted} (noise {:.1} nm; {closed:.1} % closed).{in_order}",
             gap.before_nm, gap.after_nm, gap.floor_nm
         ),
         Verdict::PartlyExplained => format!(
@@ -106,5 +107,15 @@ pub fn sentence(diagnosis: &Diagnosis) -> String {
                 gap.before_nm, gap.floor_nm
             )
         }
+    }
+}
+
+/// What the causes were checked on: whole recordings, or parts where every one of them was fitted as well.
+pub(crate) fn unfitted(diagnosis: &Diagnosis) -> &'static str {
+    let is_whole = |r: &diagnosis::RecordingGap| r.role == diagnosis::Role::HeldOut;
+    match diagnosis.recordings.as_slice() {
+        [_] => "parts of the recording that were not fitted",
+        all if all.iter().any(is_whole) => "recordings that were not fitted",
+        _ => "parts of the recordings that were not fitted",
     }
 }

@@ -39,8 +39,9 @@ fn budget(page: Report, f: &Findings) -> Report {
     }
     fall = fall.end("noise", gap.floor_nm);
     let mut page = page.section("How large the gap is").paragraph(format!(
-        "Root mean square over all axes and samples of the recordings that were not fitted: {:.2} nm before, {:.2} nm after, \
+        "Root mean square over all axes and samples of {}: {:.2} nm before, {:.2} nm after, \
          with a noise floor of {:.2} nm. Closed: {:.1} % of the energy beyond noise (95 % interval {:.1} to {:.1} %).",
+        crate::unfitted(f.diagnosis),
         gap.before_nm,
         gap.after_nm,
         gap.floor_nm,
@@ -48,7 +49,7 @@ fn budget(page: Report, f: &Findings) -> Report {
         100.0 * gap.closed_ci95[0],
         100.0 * gap.closed_ci95[1]
     ));
-    page = page.figure(&fall, "Gap on held-out recordings as the causes are added one after the other; the last bar is the measured noise.");
+    page = page.figure(&fall, "Gap on what was held out as the causes are added one after the other; the last bar is the measured noise.");
     let mut table = Table::new(["axis", "before (nm)", "after (nm)", "noise (nm)", "closed (%)"]);
     for axis in &gap.per_axis {
         table = table.row([
@@ -230,8 +231,7 @@ fn traces(page: Report, f: &Findings) -> Report {
         floor = sigma * 1.0e3 * (2.0 / track.rate_hz).sqrt();
     }
     spectra = spectra.hline(floor, "noise");
-    let of =
-        if channel.held_out { "the recordings that were not fitted" } else { "all recordings" };
+    let of = if channel.held_out { crate::unfitted(f.diagnosis) } else { "all recordings" };
     let figures: Vec<(Box<dyn Figure>, String)> = vec![
         (Box::new(traces), format!("{}: the largest gap of {of}.", track.file)),
         (Box::new(errors), "The same, difference only.".into()),
@@ -386,8 +386,10 @@ fn notes(mut page: Report, f: &Findings) -> Report {
 
 fn recordings(page: Report, f: &Findings) -> Report {
     let mut table = Table::new(["recording", "used to", "before (nm)", "after (nm)"]);
+    let is_in_parts = f.diagnosis.recordings.iter().all(|r| r.role == Role::Fit);
     for r in &f.diagnosis.recordings {
         let role = match r.role {
+            Role::Fit if is_in_parts => "fit and check, in parts",
             Role::Fit => "fit",
             Role::HeldOut => "check",
         };

@@ -42,6 +42,19 @@ fn fingerprint(track: &Track) -> Vec<f64> {
     print
 }
 
+/// What a reader should know where `split` cuts recordings into blocks, which it does with fewer than three of them.
+pub(crate) fn blocks_note(scene: &Scene) -> Option<String> {
+    let (which, other) = match scene.tracks.len() {
+        1 => (format!("{} is the only recording", scene.tracks[0].file), "another recording"),
+        n if n < FILES => (format!("There are {n} recordings only"), "others"),
+        _ => return None,
+    };
+    Some(format!(
+        "{which}: two fifths of every recording, in two parts, were held out, and the rest of the same recording was fitted. That the causes fit both is a \
+         weaker promise than a whole recording that was not fitted would be, and says nothing of {other} with other drives."
+    ))
+}
+
 /// Mark channels as held out; `keep` recordings stay in the fit whatever they look like.
 pub fn split(scene: &mut Scene, keep: &[usize]) {
     let n = scene.tracks.len();
