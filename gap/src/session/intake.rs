@@ -11,8 +11,8 @@ use host_sim::{RATES_HZ, Stretch};
 use recording::{Entry, Recording, Session};
 
 use crate::Error;
-use crate::session::wild;
 use crate::session::work::Ticks;
+use crate::session::{period, wild};
 
 /// Time after lost ticks in which nothing is scored, in seconds: five time constants of a slow amplifier.
 const RECOVERY_S: f64 = 5.0e-3;
@@ -30,7 +30,7 @@ pub struct Track {
     pub rate_hz: f64,
     /// Start on the session's clock in seconds.
     pub start_s: f64,
-    /// Period of a periodic excitation in seconds.
+    /// Period of a periodic excitation in seconds, if the drive repeats with it.
     pub period_s: Option<f64>,
     /// Drive of every axis of the rig, volts, held from its tick to the next.
     pub drive_v: Vec<Vec<f64>>,
@@ -95,6 +95,7 @@ pub fn tracks(rig: &Rig, session: &Session) -> Result<(Vec<Track>, Vec<String>),
     let all_short = session.recordings.iter().all(|entry| short(&entry.recording));
     let mut tracks = Vec::with_capacity(session.recordings.len());
     let mut passed_over = session.notes.clone();
+    let mut not_their_periods = Vec::new();
     let mut unscored = Vec::new();
     for entry in &session.recordings {
         if short(&entry.recording) && !all_short {
@@ -103,10 +104,11 @@ pub fn tracks(rig: &Rig, session: &Session) -> Result<(Vec<Track>, Vec<String>),
                 entry.file, entry.recording.meta.settle_s
             ));
             // One that cannot be laid on its clock tells nothing of the past either.
-            unscored.extend(track(rig, entry));
+            unscored.extend(track(rig, entry).map(|(track, _)| track));
             continue;
         }
-        let track = track(rig, entry)?;
+        let (track, note) = track(rig, entry)?;
+        not_their_periods.extend(note.map(|note| (entry.file.as_str(), note)));
         let scored = track.present.iter().skip(track.settle).filter(|&&p| p).count();
         if scored < FEWEST_SAMPLES {
             return Err(Error::Recording {
@@ -122,6 +124,7 @@ pub fn tracks(rig: &Rig, session: &Session) -> Result<(Vec<Track>, Vec<String>),
         }
         tracks.push(track);
     }
+    passed_over.extend(period::note(&not_their_periods));
     // The stacks went through those as well.
     let scored = tracks.len();
     tracks.extend(unscored);
@@ -131,7 +134,8 @@ pub fn tracks(rig: &Rig, session: &Session) -> Result<(Vec<Track>, Vec<String>),
     Ok((tracks, passed_over))
 }
 
-fn track(rig: &Rig, entry: &Entry) -> Result<Track, Error> {
+/// A recording on its clock, and what has to be said of it.
+fn track(rig: &Rig, entry: &Entry) -> Result<(Track, Option<String>), Error> {
     let recording = &entry.recording;
     let bad =
         |message: String| Error::Recording { file: entry.path.display().to_string(), message };
@@ -203,12 +207,13 @@ fn track(rig: &Rig, entry: &Entry) -> Result<Track, Error> {
     let drive_v: Vec<Vec<f64>> = (0..axes)
         .map(|axis| recording.drive_v.get(axis).map_or_else(|| vec![0.0; n], |c| held(c)))
         .collect();
-    Ok(Track {
+    let not_its_period = period::contradicted(rig, recording, &drive_v, &present, settle);
+    let track = Track {
         file: entry.file.clone(),
         experiment: recording.meta.experiment.clone(),
         rate_hz: recording.meta.sample_rate_hz,
         start_s: recording.meta.start_s,
-        period_s: recording.meta.period_s,
+        period_s: recording.meta.period_s.filter(|_| not_its_period.is_none()),
         lively: drive_v.iter().map(|volts| lively_share(volts)).collect(),
         drive_v,
         monitor_v: (0..axes).map(|axis| pick(&recording.monitor_v, axis)).collect(),
@@ -221,5 +226,6 @@ fn track(rig: &Rig, entry: &Entry) -> Result<Track, Error> {
         lost: n as u64 - recording.len() as u64,
         closed_loop,
         past: Vec::new(),
-    })
+    };
+    Ok((track, not_its_period))
 }

@@ -3,6 +3,7 @@
 //! | file | what it does |
 //! | --- | --- |
 //! | [`intake`] | lays recordings on their clocks |
+//! | `period` | whether a drive repeats as it says |
 //! | `wild` | readings that no motion makes |
 //! | `past`, `memory` | what the stacks went through before a recording begins, and what of that nobody can know |
 //! | [`lead_in`] | what a single recording tells of that before it is scored |
@@ -26,6 +27,7 @@ pub mod lead_in;
 mod memory;
 pub(crate) mod motions;
 pub(crate) mod past;
+mod period;
 pub mod pyramid;
 pub mod scene;
 pub(crate) mod spectra;
