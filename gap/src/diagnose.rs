@@ -17,6 +17,7 @@ use crate::picture;
 use crate::search::found::{self, Found};
 use crate::session::dead::{self, Dead};
 use crate::session::energy::Energies;
+use crate::session::memory::interruptions;
 use crate::session::scene::{Channel, Scene, Stack, Wanted};
 use crate::session::split::{blocks_note, hold_out_last_third_of_gap, split};
 use crate::session::{intake, past};
@@ -326,8 +327,14 @@ fn integrity_notes(scene: &Scene, rig: &Rig) -> Vec<String> {
     let mut notes = Vec::new();
     for track in scene.tracks.iter() {
         if track.lost > 0 {
+            let long = interruptions(track).first().map_or(String::new(), |hole| {
+                format!(
+                    " It was interrupted for {:.2} s: what a stack that turned meanwhile would remember of it was set aside.",
+                    hole.len() as f64 / track.rate_hz
+                )
+            });
             notes.push(format!(
-                "{}: {} ticks lost; the drive was held over them and nothing scored there.",
+                "{}: {} ticks lost; the drive was held over them and nothing scored there.{long}",
                 track.file, track.lost
             ));
         }

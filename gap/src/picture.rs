@@ -157,17 +157,20 @@ fn by_direction(gap_nm: [Option<f64>; 3]) -> String {
     format!("Gap while the drive {}.", said.join(", "))
 }
 
-/// Most instructive position channel: the largest gap, held out if that loses little.
+/// Most instructive position channel: the largest gap, held out if that loses little. One in which a stack's memory is unknown shows less
+/// than it holds, and has to do only where it is in all of them.
 fn showcase<'a>(f: &'a Findings) -> Option<(usize, &'a Channel)> {
     let gap = |c: usize| {
         let energy = |r: &Vec<f32>| r.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>();
         f.before[c].as_ref().map_or(0.0, energy) / f.scene.channels[c].samples()
     };
+    let is_known = |ch: &Channel| ch.kind == Kind::Position && !ch.has_memory();
+    let any_known = f.scene.channels.iter().any(is_known);
     f.scene
         .channels
         .iter()
         .enumerate()
-        .filter(|(_, ch)| ch.kind == Kind::Position && !ch.has_memory())
+        .filter(|(_, ch)| ch.kind == Kind::Position && (is_known(ch) || !any_known))
         .max_by(|a, b| {
             let score = |(c, ch): &(usize, &Channel)| {
                 gap(*c) * if ch.held_out { 4.0 } else { 1.0 } * ch.sigma.powi(2)

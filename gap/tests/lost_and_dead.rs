@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::session;
+use common::{session, session_of};
 use gap::Options;
 use gap::diagnosis::Verdict;
 use host_sim::rig::Rig;
@@ -51,6 +51,33 @@ fn lost_samples_are_no_samples_without_a_gap() {
     }
     let ratio = holed.gap.before_nm / whole.gap.before_nm;
     assert!((ratio - 1.0).abs() < 0.05, "{ratio}");
+}
+
+/// What a stack did while nothing was recorded is still in it afterwards: of the rig itself 10.4 nm are left here where that counts as a gap, with
+/// noise of 4.0.
+#[test]
+fn what_happened_in_a_long_interruption_is_no_gap() {
+    let rig = Rig::named("handley").expect("built in");
+    let mut other = rig.clone();
+    other.axes[1].mechanism.stiffness_n_per_m *= 1.2;
+    // Never twice the same, so that no turn wipes out what was before it; the largest are in the half that is lost.
+    let wanders = |nth: u32, axis: usize, time_s: f64| {
+        let hz = 7.0 + f64::from(nth) + axis as f64;
+        let wave = |hz: f64| (std::f64::consts::TAU * time_s * hz).sin();
+        let swells = (-((time_s - 0.6) / 0.25).powi(2)).exp();
+        45.0 + 8.0 * wave(hz) + 6.0 * wave(2.7 * hz) + 25.0 * swells * wave(1.3 * hz)
+    };
+    let answer = |of: &Rig| {
+        let whole = session_of(of, wanders, |_, _, um| um);
+        let half = without_rows(whole, |_, row| (3_000..9_000).contains(&row));
+        gap::diagnose(&rig, &half, &Options::default()).expect("diagnosis").diagnosis
+    };
+    let (none, stiff) = (answer(&rig), answer(&other));
+    eprintln!("{:?}\n{:?}", none.gap, stiff.gap);
+    assert_eq!(none.verdict, Verdict::NoGap, "{:?}", none.gap);
+    assert!(none.notes.iter().any(|n| n.contains("interrupted for 0.60 s")), "{:?}", none.notes);
+    assert_eq!((stiff.verdict, &stiff.causes[0].axes[..]), (Verdict::Explained, &[2][..]));
+    assert!((stiff.gap.after_nm / stiff.gap.floor_nm - 1.0).abs() < 0.03, "{:?}", stiff.gap);
 }
 
 #[test]

@@ -1,8 +1,10 @@
 //! Recordings as the rest of the crate wants them: one [`Track`] a file, on the uniform sample clock of the recording.
 //!
 //! Lost ticks are filled by holding the last drive and are never scored, nor is the settling part, nor the first
-//! milliseconds after a gap (what the drive did meanwhile is not known). Units: volts and micrometres as recorded.
+//! milliseconds after a gap (what the drive did meanwhile is not known, and what a stack remembers of a long one is set aside in
+//! [`crate::session::memory`]). Units: volts and micrometres as recorded.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use host_sim::rig::Rig;
@@ -50,6 +52,8 @@ pub struct Track {
     pub present: Vec<bool>,
     /// Samples of which a wild reading was replaced by what its neighbours allow.
     pub(crate) replaced: Vec<usize>,
+    /// Where samples were lost.
+    pub(crate) holes: Vec<Range<usize>>,
     /// Lost ticks in this file.
     pub lost: u64,
     /// `true` when a setpoint was recorded: the drive may then depend on the measured position.
@@ -175,9 +179,11 @@ fn track(rig: &Rig, entry: &Entry) -> Result<(Track, Option<String>), Error> {
     let mut present = vec![false; n];
     let mut previous: Option<usize> = None;
     let mut resume = 0;
+    let mut holes = Vec::new();
     for &sample in &at {
-        if previous.is_some_and(|p| sample > p + 1) {
+        if let Some(last) = previous.filter(|last| sample > last + 1) {
             resume = sample + recovery;
+            holes.push(last + 1..sample);
         }
         present[sample] = sample >= resume;
         previous = Some(sample);
@@ -223,6 +229,7 @@ fn track(rig: &Rig, entry: &Entry) -> Result<(Track, Option<String>), Error> {
         lead_in: recording.settle_ticks() as usize,
         present,
         replaced: Vec::new(),
+        holes,
         lost: n as u64 - recording.len() as u64,
         closed_loop,
         past: Vec::new(),

@@ -1,4 +1,7 @@
-//! What the stacks remember at the start of a recording: unknown, and set aside where it reaches into what is scored.
+//! What the stacks remember at the start of a recording and after it was interrupted for long: unknown, and set aside where it reaches into what
+//! is scored. A drive that turned while nothing was recorded leaves a stack elsewhere: on the first paper's rig, tens of nanometres.
+
+use std::ops::Range;
 
 use host_sim::rig::Rig;
 use host_sim::{Axes, Initial, Input, Output, simulate};
@@ -6,11 +9,29 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::session::floor::Kind;
+use crate::session::intake::Track;
 use crate::session::scene::Scene;
 
+/// Shortest interruption in which a drive is taken to have turned, s,
+const INTERRUPTED_S: f64 = 0.02;
+/// and most of a recording that are looked at, the longest ones: each takes a simulation and a direction for every turn.
+const MOST_INTERRUPTIONS: usize = 4;
+/// Where it may have turned, as shares of what the session drives: as many as tell how far each slip element was taken.
+const TURNS: [f64; 6] = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0];
+/// Share of an interruption that a ramp there takes, and one back.
+const RAMP: f64 = 0.4;
+
+/// Long interruptions of a recording, by samples, the longest first.
+pub(crate) fn interruptions(track: &Track) -> Vec<Range<usize>> {
+    let least = (INTERRUPTED_S * track.rate_hz).ceil() as usize;
+    let mut long: Vec<_> = track.holes.iter().filter(|hole| hole.len() >= least).collect();
+    long.sort_by_key(|hole| std::cmp::Reverse(hole.len()));
+    long.into_iter().take(MOST_INTERRUPTIONS).cloned().collect()
+}
+
 impl Scene {
-    /// Find out in which channels the unknown memory of the stacks at the start still matters, and set it aside there. The past
-    /// of a stack is taken to lie within the voltages that this session drives: a ramp to the top of them wipes it out.
+    /// Find out in which channels the unknown memory of the stacks at the start, or after an interruption, still matters, and set it aside
+    /// there. The past of a stack is taken to lie within the voltages that this session drives: a ramp to the top of them wipes it out.
     pub fn set_aside_memory(&mut self, rig: &Rig) -> Result<(), Error> {
         let (low, high) = self
             .tracks
@@ -21,7 +42,7 @@ impl Scene {
             .into_par_iter()
             .map(|track| {
                 let virgin = self.output(rig, track, Axes::All, &[])?;
-                let swept: Vec<Output> = [high, 0.5 * high, low]
+                let mut swept: Vec<Output> = [high, 0.5 * high, low]
                     .into_iter()
                     .filter(|turn| *turn != 0.0)
                     .map(|turn| {
@@ -29,6 +50,14 @@ impl Scene {
                         self.output(rig, track, Axes::All, &past)
                     })
                     .collect::<Result<_, Error>>()?;
+                for hole in interruptions(&self.tracks[track]) {
+                    for share in TURNS {
+                        let turn = low + share * (high - low);
+                        let drive = turned(&self.tracks[track], &hole, turn);
+                        let run = |input: &Input| simulate(rig, input, Axes::All);
+                        swept.push(self.with_drive(track, &drive, &[], run)?);
+                    }
+                }
                 Ok(self
                     .channels
                     .iter()
@@ -96,4 +125,22 @@ impl Scene {
             .map(|end| Initial { memory: end.memory, ..Initial::default() })
             .collect())
     }
+}
+
+/// Drive of every axis, V, with an excursion to `turn_v` in an interruption, and from there to where the recording goes on.
+fn turned(track: &Track, hole: &Range<usize>, turn_v: f64) -> Vec<Vec<f64>> {
+    let ramp = ((RAMP * hole.len() as f64) as usize).max(1);
+    let mut drive = track.drive_v.clone();
+    for column in &mut drive {
+        let (from, to) = (column[hole.start], column[hole.end.min(column.len() - 1)]);
+        for (k, v) in column[hole.clone()].iter_mut().enumerate() {
+            let share = (k % ramp) as f64 / ramp as f64;
+            *v = match k / ramp {
+                0 => from + (turn_v - from) * share,
+                1 => turn_v + (to - turn_v) * share,
+                _ => to,
+            };
+        }
+    }
+    drive
 }

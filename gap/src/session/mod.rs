@@ -24,7 +24,7 @@ pub mod energy;
 pub mod floor;
 pub mod intake;
 pub mod lead_in;
-mod memory;
+pub(crate) mod memory;
 pub(crate) mod motions;
 pub(crate) mod past;
 mod period;

@@ -159,8 +159,19 @@ impl Scene {
         initial: &[Initial],
         run: impl FnOnce(&Input) -> Result<T, SimError>,
     ) -> Result<T, Error> {
+        self.with_drive(track, &self.tracks[track].drive_v, initial, run)
+    }
+
+    /// The same as if the drive of every axis had been another one, V.
+    pub(super) fn with_drive<T>(
+        &self,
+        track: usize,
+        drive_v: &[Vec<f64>],
+        initial: &[Initial],
+        run: impl FnOnce(&Input) -> Result<T, SimError>,
+    ) -> Result<T, Error> {
         let track = &self.tracks[track];
-        let drive: Vec<&[f64]> = track.drive_v.iter().map(Vec::as_slice).collect();
+        let drive: Vec<&[f64]> = drive_v.iter().map(Vec::as_slice).collect();
         let mut initial = initial.to_vec();
         if self.runs_on && !track.past.is_empty() {
             initial.resize(track.past.len(), Initial::default());
