@@ -180,7 +180,7 @@ impl Report {
 }
 
 fn figure_markup(figure: &dyn Figure, caption: &str) -> Markup {
-    html! { figure { (PreEscaped(figure.svg())) figcaption { (words(caption)) } } }
+    html! { figure { div.scroll { (PreEscaped(figure.svg())) } figcaption { (words(caption)) } } }
 }
 
 /// Text in which pairs of backticks set code: sentences are shared with the terminal, where they are what readers know.
@@ -222,6 +222,14 @@ mod tests {
         for outside in ["src=", "href=", "@import", "url("] {
             assert!(!html.contains(outside), "{outside}");
         }
+    }
+
+    #[test]
+    fn figures_move_sideways_by_themselves_where_the_page_is_narrow() {
+        let plot = plot::LinePlot::new("t");
+        let html = Report::new("r").figure(&plot, "c").to_html();
+        assert!(html.contains("<figure><div class=\"scroll\"><svg"), "{html}");
+        assert!(html.contains("figure svg { min-width: 640px; }"));
     }
 
     #[test]
