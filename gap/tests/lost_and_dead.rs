@@ -81,6 +81,31 @@ fn what_happened_in_a_long_interruption_is_no_gap() {
 }
 
 #[test]
+fn lost_samples_are_none_that_do_not_repeat() {
+    let rig = Rig::named("handley").expect("built in");
+    let mut other = rig.clone();
+    other.axes[1].mechanism.stiffness_n_per_m *= 1.2;
+    // Half a second is a period of every axis.
+    let repeats = |nth: u32, axis: usize, time_s: f64| {
+        let hz = 2.0 * (1.0 + f64::from(nth) + axis as f64);
+        (15.0 + 6.0 * f64::from(nth)) * (1.0 - (std::f64::consts::TAU * time_s * hz).cos())
+    };
+    let answer = |lost_of: usize| {
+        let mut session = session_of(&other, repeats, |_, _, um| um);
+        session.recordings.iter_mut().for_each(|e| e.recording.meta.period_s = Some(0.5));
+        let session = without_rows(session, |nth, row| (row * 7_919 + nth * 31) % lost_of == 0);
+        gap::diagnose(&rig, &session, &Options::default()).expect("diagnosis").diagnosis
+    };
+    let (whole, holed) = (answer(usize::MAX), answer(400));
+    eprintln!("{:?}\n{:?}", whole.gap, holed.gap);
+    for d in [&whole, &holed] {
+        assert_eq!((d.verdict, &d.causes[0].axes[..]), (Verdict::Explained, &[2][..]));
+        assert!((d.gap.floor_nm - 4.0).abs() < 0.2, "{:?}", d.gap);
+        assert!(!d.notes.iter().any(|n| n.contains("period_s")), "{:?}", d.notes);
+    }
+}
+
+#[test]
 fn a_gauge_that_does_not_follow_is_nobodys_effect() {
     let rig = Rig::named("handley").expect("built in");
     // Not connected, or frozen: with the noise of its amplifier, or without any.

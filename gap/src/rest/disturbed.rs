@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::waves::drive_rms_v;
-use crate::session::floor::unrepeated;
+use crate::session::floor::{Unrepeated, unrepeated};
 use crate::session::scene::Scene;
 use crate::session::spectra::spectrum;
 
@@ -31,18 +31,18 @@ pub(super) fn disturbed(scene: &Scene) -> Vec<Disturbed> {
         .tracks
         .iter()
         .filter_map(|track| {
-            let rows: Vec<Vec<f32>> = track
+            let rows: Vec<Unrepeated> = track
                 .position_um
                 .iter()
                 .flatten()
                 .map(|row| unrepeated(track, row))
                 .collect::<Option<_>>()?;
-            let samples: usize = rows.iter().map(Vec::len).sum();
-            let energy: f64 = rows.iter().flatten().map(|&um| f64::from(um).powi(2)).sum();
+            let samples: usize = rows.iter().map(|row| row.recorded().count()).sum();
+            let energy: f64 = rows.iter().flat_map(Unrepeated::recorded).map(|um| um * um).sum();
             let mut power: Vec<f64> = Vec::new();
             let mut step_hz = 0.0;
             for row in &rows {
-                let (step, own) = spectrum(row, track.rate_hz);
+                let (step, own) = spectrum(&row.difference, track.rate_hz);
                 step_hz = step;
                 power.resize(own.len(), 0.0);
                 power.iter_mut().zip(&own).for_each(|(sum, p)| *sum += p);
@@ -56,7 +56,7 @@ pub(super) fn disturbed(scene: &Scene) -> Vec<Disturbed> {
             let drive_v = drive_rms_v(track, &(track.settle..track.len()));
             let found = Disturbed {
                 file: track.file.clone(),
-                unrepeatable_nm: 1.0e3 * (energy / samples as f64).sqrt(),
+                unrepeatable_nm: 1.0e3 * (energy / samples.max(1) as f64).sqrt(),
                 usual_nm: 0.0,
                 above_hz: edge as f64 * step_hz,
             };

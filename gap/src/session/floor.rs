@@ -96,16 +96,24 @@ fn quiet_differences(track: &Track, series: &[f32]) -> Vec<f64> {
     differences
 }
 
-/// Difference between the last two periods, halved in energy: what does not repeat. Zero where a sample of either was lost.
-pub fn unrepeated(track: &Track, series: &[f32]) -> Option<Vec<f32>> {
-    Some(between_periods(track, series)?.map(|difference| difference.unwrap_or(0.0)).collect())
+/// What does not repeat from one period to the next.
+pub struct Unrepeated {
+    /// Difference between the last two periods, halved in energy; zero where either sample was lost.
+    pub difference: Vec<f32>,
+    /// Where neither was.
+    present: Vec<bool>,
 }
 
-/// The same, without what stands in for lost samples: it would count as noise.
-fn between_periods<'a>(
-    track: &'a Track,
-    series: &'a [f32],
-) -> Option<impl Iterator<Item = Option<f32>> + 'a> {
+impl Unrepeated {
+    /// Differences of samples that were recorded.
+    pub fn recorded(&self) -> impl Iterator<Item = f64> {
+        let both = self.difference.iter().zip(&self.present);
+        both.filter(|&(_, &present)| present).map(|(&x, _)| f64::from(x))
+    }
+}
+
+/// What does not repeat in the last two periods of a column, if there are two.
+pub fn unrepeated(track: &Track, series: &[f32]) -> Option<Unrepeated> {
     let period = (track.period_s? * track.rate_hz).round() as usize;
     let n = track.len();
     if period < 64 || n < 2 * period {
@@ -114,11 +122,14 @@ fn between_periods<'a>(
     // The first fifth of the earlier period may still hold the transient of the start.
     let skip = if n < 3 * period { period / 5 } else { 0 };
     let half = std::f32::consts::FRAC_1_SQRT_2;
-    Some((n - period + skip..n).map(move |later| {
-        let earlier = later - period;
-        let is_there = track.present[later] && track.present[earlier];
-        is_there.then(|| (series[later] - series[earlier]) * half)
-    }))
+    let later = n - period + skip..n;
+    let present: Vec<bool> =
+        later.clone().map(|k| track.present[k] && track.present[k - period]).collect();
+    let difference = later
+        .zip(&present)
+        .map(|(k, &is_there)| if is_there { (series[k] - series[k - period]) * half } else { 0.0 })
+        .collect();
+    Some(Unrepeated { difference, present })
 }
 
 fn column(track: &Track, axis: usize, kind: Kind) -> Option<&Vec<f32>> {
@@ -140,8 +151,8 @@ pub fn noise(tracks: &[Track], axis: usize, kind: Kind, stated: f64) -> Option<N
         any = true;
         quiet.extend(quiet_differences(track, series));
         high.extend(high_pass_sd(series, &track.present));
-        if let Some(differences) = between_periods(track, series) {
-            let mut d: Vec<f64> = differences.flatten().map(f64::from).collect();
+        if let Some(unrepeated) = unrepeated(track, series) {
+            let mut d: Vec<f64> = unrepeated.recorded().collect();
             if !d.is_empty() {
                 periodic.push(spread(&mut d));
             }
@@ -178,17 +189,20 @@ pub fn unrepeatable_levels(
     levels: &Levels,
 ) -> Vec<f64> {
     let mut floor = vec![1.0; levels.count()];
-    let Some(difference) = column(track, axis, kind).and_then(|s| unrepeated(track, s)) else {
+    let Some(unrepeated) = column(track, axis, kind).and_then(|s| unrepeated(track, s)) else {
         return floor;
     };
-    let own = Levels::new(difference.len());
-    let coefficients = transform(&difference, &own);
+    let own = Levels::new(unrepeated.difference.len());
+    let coefficients = transform(&unrepeated.difference, &own);
+    // Lost samples differ by nothing: the others have to make up for them.
+    let present = unrepeated.recorded().count().max(1) as f64 / unrepeated.difference.len() as f64;
     for level in 0..levels.count().min(own.count()) {
         let part = &coefficients[own.range(level)];
         // Fewer than a dozen values do not make a variance.
         if part.len() >= 12 {
             let energy: f64 = part.iter().map(|&x| f64::from(x).powi(2)).sum();
-            floor[level] = (energy / part.len() as f64 / (sigma * sigma)).max(1.0);
+            let mean = energy / (present * part.len() as f64);
+            floor[level] = (mean / (sigma * sigma)).max(1.0);
         }
     }
     floor
