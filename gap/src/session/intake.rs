@@ -13,8 +13,9 @@ use host_sim::{RATES_HZ, Stretch};
 use recording::{Entry, Recording, Session};
 
 use crate::Error;
+use crate::session::period::{self, Told};
+use crate::session::wild;
 use crate::session::work::Ticks;
-use crate::session::{period, wild};
 
 /// Time after lost ticks in which nothing is scored, in seconds: five time constants of a slow amplifier.
 const RECOVERY_S: f64 = 5.0e-3;
@@ -100,6 +101,7 @@ pub fn tracks(rig: &Rig, session: &Session) -> Result<(Vec<Track>, Vec<String>),
     let mut tracks = Vec::with_capacity(session.recordings.len());
     let mut passed_over = session.notes.clone();
     let mut not_their_periods = Vec::new();
+    let mut any_repeats = false;
     let mut unscored = Vec::new();
     for entry in &session.recordings {
         if short(&entry.recording) && !all_short {
@@ -111,8 +113,12 @@ pub fn tracks(rig: &Rig, session: &Session) -> Result<(Vec<Track>, Vec<String>),
             unscored.extend(track(rig, entry).map(|(track, _)| track));
             continue;
         }
-        let (track, note) = track(rig, entry)?;
-        not_their_periods.extend(note.map(|note| (entry.file.as_str(), note)));
+        let (track, period) = track(rig, entry)?;
+        match period {
+            Told::Otherwise(note) => not_their_periods.push((entry.file.as_str(), note)),
+            Told::Repeats => any_repeats = true,
+            Told::Nothing => {}
+        }
         let scored = track.present.iter().skip(track.settle).filter(|&&p| p).count();
         if scored < FEWEST_SAMPLES {
             return Err(Error::Recording {
@@ -128,6 +134,10 @@ pub fn tracks(rig: &Rig, session: &Session) -> Result<(Vec<Track>, Vec<String>),
         }
         tracks.push(track);
     }
+    if !not_their_periods.is_empty() && !any_repeats {
+        // Drives that stand still cannot contradict what is wrong of all the others.
+        tracks.iter_mut().for_each(|track| track.period_s = None);
+    }
     passed_over.extend(period::note(&not_their_periods));
     // The stacks went through those as well.
     let scored = tracks.len();
@@ -138,8 +148,8 @@ pub fn tracks(rig: &Rig, session: &Session) -> Result<(Vec<Track>, Vec<String>),
     Ok((tracks, passed_over))
 }
 
-/// A recording on its clock, and what has to be said of it.
-fn track(rig: &Rig, entry: &Entry) -> Result<(Track, Option<String>), Error> {
+/// A recording on its clock, and what its drive says of its period.
+fn track(rig: &Rig, entry: &Entry) -> Result<(Track, Told), Error> {
     let recording = &entry.recording;
     let bad =
         |message: String| Error::Recording { file: entry.path.display().to_string(), message };
@@ -213,13 +223,13 @@ fn track(rig: &Rig, entry: &Entry) -> Result<(Track, Option<String>), Error> {
     let drive_v: Vec<Vec<f64>> = (0..axes)
         .map(|axis| recording.drive_v.get(axis).map_or_else(|| vec![0.0; n], |c| held(c)))
         .collect();
-    let not_its_period = period::contradicted(rig, recording, &drive_v, &present, settle);
+    let period = period::told(rig, recording, &drive_v, &present, settle);
     let track = Track {
         file: entry.file.clone(),
         experiment: recording.meta.experiment.clone(),
         rate_hz: recording.meta.sample_rate_hz,
         start_s: recording.meta.start_s,
-        period_s: recording.meta.period_s.filter(|_| not_its_period.is_none()),
+        period_s: recording.meta.period_s.filter(|_| !matches!(period, Told::Otherwise(_))),
         lively: drive_v.iter().map(|volts| lively_share(volts)).collect(),
         drive_v,
         monitor_v: (0..axes).map(|axis| pick(&recording.monitor_v, axis)).collect(),
@@ -234,5 +244,5 @@ fn track(rig: &Rig, entry: &Entry) -> Result<(Track, Option<String>), Error> {
         closed_loop,
         past: Vec::new(),
     };
-    Ok((track, not_its_period))
+    Ok((track, period))
 }

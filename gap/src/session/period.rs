@@ -14,16 +14,26 @@ const DIFFERS: f64 = 1.0e-3;
 /// and in units of the gauge noise at rest: a closed loop drives what it reads.
 const NOISES: f64 = 3.0;
 
-/// What a reader should know of a drive (V, on the uniform clock, of every axis) that does not repeat with the stated period. `is_there`: which
-/// samples were recorded; `settle`: those of the lead-in.
-pub(super) fn contradicted(
+/// What a drive says of the period that its recording states.
+pub(super) enum Told {
+    /// Nothing: none is stated, or the drive stands still, or too little of it is there.
+    Nothing,
+    /// It repeats.
+    Repeats,
+    /// It does not; what a reader should know of that.
+    Otherwise(String),
+}
+
+/// What a drive (V, on the uniform clock, of every axis) says of the stated period. `is_there`: which samples were recorded; `settle`: those of
+/// the lead-in.
+pub(super) fn told(
     rig: &Rig,
     recording: &Recording,
     drive_v: &[Vec<f64>],
     is_there: &[bool],
     settle: usize,
-) -> Option<String> {
-    let period_s = recording.meta.period_s?;
+) -> Told {
+    let Some(period_s) = recording.meta.period_s else { return Told::Nothing };
     let samples = (period_s * recording.meta.sample_rate_hz).round() as usize;
     let n = is_there.len();
     // What comes before the first whole period, an approach or a lead-in, need not repeat.
@@ -39,9 +49,10 @@ pub(super) fn contradicted(
     };
     // Too little of it to be told, one way or the other.
     if samples == 0 || pairs().count() < FEWEST {
-        return None;
+        return Told::Nothing;
     }
-    drive_v.iter().zip(&rig.axes).enumerate().find_map(|(number, (v, axis))| {
+    let mut moves = false;
+    let otherwise = drive_v.iter().zip(&rig.axes).enumerate().find_map(|(number, (v, axis))| {
         let many = pairs().count() as f64;
         let rms = |of: &dyn Fn(usize) -> f64| {
             (pairs().map(|k| of(k).powi(2)).sum::<f64>() / many).sqrt()
@@ -49,6 +60,7 @@ pub(super) fn contradicted(
         let mean = pairs().map(|k| v[k]).sum::<f64>() / many;
         let moves_v = rms(&|k| v[k] - mean);
         let differs_v = rms(&|k| v[k] - v[k - samples]);
+        moves |= moves_v > 0.0 || differs_v > 0.0;
         let noise_v = axis.sensor.noise_rms_m / axis.rest_m_per_v().abs();
         (differs_v > DIFFERS * moves_v + NOISES * noise_v).then(|| {
             format!(
@@ -57,7 +69,12 @@ pub(super) fn contradicted(
                 number + 1
             )
         })
-    })
+    });
+    match otherwise {
+        Some(note) => Told::Otherwise(note),
+        None if moves => Told::Repeats,
+        None => Told::Nothing,
+    }
 }
 
 /// The same of all recordings of a session of which it has to be said, with their file names.

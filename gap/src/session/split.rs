@@ -44,14 +44,14 @@ fn fingerprint(track: &Track) -> Vec<f64> {
 
 /// What a reader should know where `split` cuts recordings into blocks, which it does with fewer than three of them.
 pub(crate) fn blocks_note(scene: &Scene) -> Option<String> {
-    let (which, other) = match scene.tracks.len() {
-        1 => (format!("{} is the only recording", scene.tracks[0].file), "another recording"),
-        n if n < FILES => (format!("There are {n} recordings only"), "others"),
+    let (which, of_what, other) = match scene.tracks.len() {
+        1 => (format!("{} is the only recording", scene.tracks[0].file), "it", "another recording"),
+        n if n < FILES => (format!("There are {n} recordings only"), "each", "others"),
         _ => return None,
     };
     Some(format!(
-        "{which}: two fifths of every recording, in two parts, were held out, and the rest of the same recording was fitted. That the causes fit both is a \
-         weaker promise than a whole recording that was not fitted would be, and says nothing of {other} with other drives."
+        "{which}: two fifths of {of_what}, in two parts, were held out, and the rest was fitted. That the causes fit both is a weaker promise than a whole \
+         recording that was not fitted would be, and says nothing of {other} with other drives."
     ))
 }
 
