@@ -240,6 +240,9 @@ mod tests {
             lead_in: 0,
             present: (0..3000).map(|i| !lost(i)).collect(),
             lost: (0..3000).filter(|&i| lost(i)).count() as u64,
+            first_tick: 0,
+            holes: Vec::new(),
+            replaced: Default::default(),
             closed_loop: false,
             past: vec![Vec::new().into()],
         }
