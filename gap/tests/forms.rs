@@ -182,6 +182,26 @@ fn friction_that_falls_at_creeping_speeds_is_friction() {
     assert_explained(&diagnosis, &[("friction", &[3][..])]);
 }
 
+/// What the set 92002 was drawn among.
+const SLIPS: [&str; 2] = ["friction", "amplifier-bandwidth"];
+
+#[test]
+fn contacts_that_slip_one_after_the_other_are_friction() {
+    let diagnosis = drawn_in_a_further_form(92002, 2, "friction", &SLIPS);
+    assert_explained(&diagnosis, &[("friction", &[2][..])]);
+    // With one length for all of them 0.99 of the gap was closed.
+    let decades = diagnosis.causes[0].parameters["spread_decades"].value;
+    assert!((1.0..2.5).contains(&decades), "{decades}");
+}
+
+#[test]
+fn an_amplifier_that_rings_is_amplifier_bandwidth() {
+    let diagnosis = drawn_in_a_further_form(92002, 7, "amplifier-bandwidth", &SLIPS);
+    assert_explained(&diagnosis, &[("amplifier-bandwidth", &[1][..])]);
+    let further_pole = diagnosis.causes[0].parameters["further_pole"].value;
+    assert!(further_pole > 1.1, "{further_pole}");
+}
+
 #[test]
 #[ignore = "long: cargo xtask test --long"]
 fn relaxation_in_every_decade_is_viscoelasticity() {

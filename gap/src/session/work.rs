@@ -50,7 +50,7 @@ const LAWS_IN_PARTS: [(&str, &str, u64); 2] =
     [("hysteresis-shape", "yield", 40), ("hysteresis-shape", "spread", 90)];
 /// The same for one without.
 const PLAIN: u64 = 10;
-/// Effects that take a lively tick in parts, and every one where something asks for all of them, however calm.
+/// Effects that take a lively tick in parts, as a mechanism does that weighs something by itself, and every one where something asks for all of them, however calm.
 const IN_PARTS: [&str; 2] = ["inertia", "second-mass"];
 /// What such a part takes of an axis that nothing ties and that has nothing else; of one that is tied it takes [`PLAIN`].
 const PART: u64 = 4;
@@ -181,7 +181,8 @@ fn of_group(rig: &Rig, group: u32, ticks: &Ticks) -> f64 {
     let many = u64::from(group.count_ones());
     let whole = PLAIN * many + here.iter().map(|s| more(s)).sum::<u64>();
     let is_in_parts = |s: &Setting| IN_PARTS.contains(&s.effect.info().name);
-    if !here.iter().any(|s| is_in_parts(s)) {
+    let weighs = |on: usize| rig.axes[on].mechanism.mass_kg > 0.0;
+    if !members().any(weighs) && !here.iter().any(|s| is_in_parts(s)) {
         return whole as f64;
     }
     let model = Model::new(rig, ticks.step_s);
@@ -261,6 +262,16 @@ mod tests {
         work.count(&rig, 0b100, &ticks(3000, &half));
         assert_eq!(work.passes(), 1 + 3 + 48 + 2);
         assert!(!work.is_spent());
+    }
+
+    #[test]
+    fn a_mechanism_that_weighs_something_is_counted_in_parts() {
+        let mut rig = Rig::named("handley").expect("library rig");
+        let of = |rig: &Rig, share: f64| price(rig, 0b001, &ticks(100, &[share, 0.0, 0.0]));
+        assert_eq!([of(&rig, 0.0), of(&rig, 1.0)], [1000, 1000]);
+        // The mass of `inertia` in the test above, without its own price: four tenths in each of eight parts.
+        rig.axes[0].mechanism.mass_kg = 0.1;
+        assert_eq!([of(&rig, 0.0), of(&rig, 1.0)], [1000, 3200]);
     }
 
     #[test]

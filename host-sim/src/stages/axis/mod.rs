@@ -390,7 +390,12 @@ impl AxisSim {
             if (charge_c - expected_c).abs() <= StrainLossSim::TOLERANCE_C {
                 break;
             }
-            drawn_c = (charge_c - held_c) / change_n;
+            // More than the whole stack can give no newton draws, and less than none neither.
+            let next_c = (charge_c - held_c) / change_n;
+            if !next_c.is_finite() {
+                break;
+            }
+            drawn_c = next_c.max(0.0).min(per_newton_c);
         }
         self.strain_loss = Some(loss);
         lost_n

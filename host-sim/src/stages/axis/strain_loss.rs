@@ -13,9 +13,11 @@ const PARTS: usize = 8;
 /// Change of the loss in a tick up to which one part will do, over its growth by a factor of e of the current: up to a fifth of the change
 /// comes late then.
 const STEADY: f64 = 0.01;
-/// Error of a current to which a part is solved, as a share of it.
+/// Error of a current to which a part is solved, as a share of it,
 const TOLERANCE: f64 = 1.0e-7;
-/// Most rounds of a part; a bracket of everything is halved to nothing in as many.
+/// and as charge a tick, C: a loss that holds the charge leaves a current of next to nothing, which rounding does not tell from none.
+const LEAST_C: f64 = 1.0e-3 * StrainLossSim::TOLERANCE_C;
+/// Most rounds of a part; a bracket is halved to nothing in as many.
 const ROUNDS: usize = 60;
 
 /// The loss with what it remembers.
@@ -88,27 +90,35 @@ impl StrainLossSim {
     /// Force at the end of a tick (N) that would end with `charge_c` if the force stayed; every newton draws `per_newton_c`.
     pub(super) fn solve(&mut self, charge_c: f64, per_newton_c: f64) -> f64 {
         let held_c = charge_c - self.charge_c;
-        let whole = self.part(self.start, held_c * self.shape[PARTS - 1], per_newton_c);
+        let (whole, _) = self.part(self.start, held_c * self.shape[PARTS - 1], per_newton_c);
         self.next = if (whole.force_n - self.start.force_n).abs() <= STEADY * self.force_n {
             whole
         } else {
-            let through = |now, shape| self.part(now, held_c * shape, per_newton_c * PARTS as f64);
+            let through =
+                |now, shape| self.part(now, held_c * shape, per_newton_c * PARTS as f64).0;
             self.shape.into_iter().fold(self.start, through)
         };
         self.next.force_n
     }
 
     /// A part in which `held_c` a tick would be drawn if the force stayed: `i = held + per_newton (F(i) - F)`. The right side never rises
-    /// with the current, so there is one answer, and a tangent points to its side.
+    /// with the current, so there is one answer, and a tangent points to its side. The loss is against the current: without one
+    /// it would go where the held one and the force before drive it, and with one no farther. Rounds that it took come along.
     #[inline]
-    fn part(&self, before: Loss, held_c: f64, per_newton_c: f64) -> Loss {
-        let mut rate = before.rate_c;
-        let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
-        for _ in 0..ROUNDS {
+    fn part(&self, before: Loss, held_c: f64, per_newton_c: f64) -> (Loss, usize) {
+        let driven_c = held_c - per_newton_c * before.force_n;
+        let (mut low, mut high) = (driven_c.min(0.0), driven_c.max(0.0));
+        let is_between = before.rate_c > low && before.rate_c < high;
+        let mut rate = match is_between {
+            true => before.rate_c,
+            // As the current begins.
+            false => driven_c / (1.0 - per_newton_c * self.force(0.0).1),
+        };
+        for round in 1..=ROUNDS {
             let (force_n, slope) = self.force(rate);
             let error = rate - held_c - per_newton_c * (force_n - before.force_n);
-            if error.abs() <= TOLERANCE * rate.abs() || error == 0.0 {
-                return Loss { force_n, rate_c: rate };
+            if error.abs() <= (TOLERANCE * rate.abs()).max(LEAST_C) {
+                return (Loss { force_n, rate_c: rate }, round);
             }
             if error > 0.0 {
                 high = rate;
@@ -116,9 +126,9 @@ impl StrainLossSim {
                 low = rate;
             }
             let next = rate - error / (1.0 - per_newton_c * slope);
-            rate = if next > low && next < high { next } else { 0.5 * (low + high) };
+            rate = if next >= low && next <= high { next } else { 0.5 * (low + high) };
         }
-        Loss { force_n: self.force(rate).0, rate_c: rate }
+        (Loss { force_n: self.force(rate).0, rate_c: rate }, ROUNDS)
     }
 
     /// Force (N) and its slope (N/C) at a current, as charge a tick.
@@ -144,5 +154,46 @@ impl StrainLossSim {
     #[inline]
     pub(super) fn commit(&mut self) {
         (self.charge_c, self.start) = (self.next_charge_c, self.next);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Decades from one to the other.
+    fn decades(from: i32, to: i32) -> impl Iterator<Item = f64> {
+        (from..=to).map(|power| 10f64.powi(power))
+    }
+
+    #[test]
+    fn a_part_is_solved_in_few_rounds_whatever_holds_the_charge() {
+        let mut most = 0;
+        for onset in [0.5, 1.0, 3.0] {
+            for current_a in decades(-8, 1) {
+                let loss = StrainLoss { voltage_v: 1.0, current_a, onset };
+                let sim = StrainLossSim::new(loss, 10.0, 1.0e-4, 4.0e-4);
+                for per_newton_c in decades(-10, -4) {
+                    for (held_c, before_c) in decades(-12, -5)
+                        .flat_map(|held| decades(-12, -5).map(move |before| (held, -before)))
+                        .flat_map(|(held, before)| [(held, before), (held, -before), (0.0, before)])
+                    {
+                        let before = Loss { force_n: sim.force(before_c).0, rate_c: before_c };
+                        let (after, rounds) = sim.part(before, held_c, per_newton_c);
+                        let drawn_c = per_newton_c * (after.force_n - before.force_n);
+                        let error_c = (after.rate_c - held_c - drawn_c).abs();
+                        let driven_c = (held_c - per_newton_c * before.force_n).abs();
+                        // Rounding of what drives it counts as well.
+                        let least_c = LEAST_C.max(1.0e-14 * driven_c);
+                        assert!(
+                            error_c <= 2.0 * (TOLERANCE * after.rate_c.abs()).max(least_c),
+                            "{error_c} C of {after:?}, {held_c} C and {before:?}, onset {onset}, {current_a} A, {per_newton_c} C/N"
+                        );
+                        most = most.max(rounds);
+                    }
+                }
+            }
+        }
+        assert!(most <= 40, "{most} rounds");
     }
 }
