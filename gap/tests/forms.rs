@@ -189,7 +189,6 @@ const SLIPS: [&str; 2] = ["friction", "amplifier-bandwidth"];
 fn contacts_that_slip_one_after_the_other_are_friction() {
     let diagnosis = drawn_in_a_further_form(92002, 2, "friction", &SLIPS);
     assert_explained(&diagnosis, &[("friction", &[2][..])]);
-    // With one length for all of them 0.99 of the gap was closed.
     let decades = diagnosis.causes[0].parameters["spread_decades"].value;
     assert!((1.0..2.5).contains(&decades), "{decades}");
 }
