@@ -17,6 +17,7 @@ use crate::picture;
 use crate::search::found::{self, Found};
 use crate::session::dead::{self, Dead};
 use crate::session::energy::Energies;
+use crate::session::floor::Kind;
 use crate::session::memory::interruptions;
 use crate::session::scene::{Channel, Scene, Stack, Wanted};
 use crate::session::split::{blocks_note, hold_out_last_third_of_gap, split};
@@ -352,7 +353,7 @@ fn integrity_notes(scene: &Scene, rig: &Rig) -> Vec<String> {
         ));
     }
     for (axis, noise) in scene.position_noise.iter().enumerate() {
-        let stated = rig.axes[axis].sensor.noise_rms_m * 1.0e6;
+        let stated = Kind::Position.stated(rig, axis);
         match noise {
             None => notes.push(format!("Axis {} was not measured.", axis + 1)),
             Some(n) if stated > 0.0 && (n.sigma > 2.0 * stated || n.sigma < 0.5 * stated) => notes

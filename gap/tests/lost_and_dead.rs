@@ -2,8 +2,7 @@
 
 mod common;
 
-use common::{session, session_of};
-use gap::Options;
+use common::{diagnosed_as_paper_rig, paper_rig, session, session_of, stiffer};
 use gap::diagnosis::Verdict;
 use host_sim::rig::Rig;
 use recording::Session;
@@ -30,17 +29,12 @@ fn without_rows(mut session: Session, is_lost: impl Fn(usize, usize) -> bool) ->
 
 #[test]
 fn lost_samples_are_no_samples_without_a_gap() {
-    let rig = Rig::named("handley").expect("built in");
-    let mut other = rig.clone();
-    other.axes[1].mechanism.stiffness_n_per_m *= 1.2;
+    let other = stiffer();
     let whole = session(&other, |_, _, um| um);
     // One row of ninety, which with the time after each loss is half of all.
     let holed =
         without_rows(session(&other, |_, _, um| um), |nth, row| (row * 7_919 + nth * 31) % 90 == 0);
-    let answer = |session: &Session| {
-        gap::diagnose(&rig, session, &Options::default()).expect("diagnosis").diagnosis
-    };
-    let (whole, holed) = (answer(&whole), answer(&holed));
+    let (whole, holed) = (diagnosed_as_paper_rig(&whole), diagnosed_as_paper_rig(&holed));
     eprintln!("{:?}\n{:?}", whole.gap, holed.gap);
     for d in [&whole, &holed] {
         assert_eq!(d.verdict, Verdict::Explained);
@@ -57,9 +51,7 @@ fn lost_samples_are_no_samples_without_a_gap() {
 /// noise of 4.0.
 #[test]
 fn what_happened_in_a_long_interruption_is_no_gap() {
-    let rig = Rig::named("handley").expect("built in");
-    let mut other = rig.clone();
-    other.axes[1].mechanism.stiffness_n_per_m *= 1.2;
+    let other = stiffer();
     // Never twice the same, so that no turn wipes out what was before it; the largest are in the half that is lost.
     let wanders = |nth: u32, axis: usize, time_s: f64| {
         let hz = 7.0 + f64::from(nth) + axis as f64;
@@ -70,9 +62,9 @@ fn what_happened_in_a_long_interruption_is_no_gap() {
     let answer = |of: &Rig| {
         let whole = session_of(of, wanders, |_, _, um| um);
         let half = without_rows(whole, |_, row| (3_000..9_000).contains(&row));
-        gap::diagnose(&rig, &half, &Options::default()).expect("diagnosis").diagnosis
+        diagnosed_as_paper_rig(&half)
     };
-    let (none, stiff) = (answer(&rig), answer(&other));
+    let (none, stiff) = (answer(&paper_rig()), answer(&other));
     eprintln!("{:?}\n{:?}", none.gap, stiff.gap);
     assert_eq!(none.verdict, Verdict::NoGap, "{:?}", none.gap);
     assert!(none.notes.iter().any(|n| n.contains("interrupted for 0.60 s")), "{:?}", none.notes);
@@ -82,9 +74,7 @@ fn what_happened_in_a_long_interruption_is_no_gap() {
 
 #[test]
 fn lost_samples_are_none_that_do_not_repeat() {
-    let rig = Rig::named("handley").expect("built in");
-    let mut other = rig.clone();
-    other.axes[1].mechanism.stiffness_n_per_m *= 1.2;
+    let other = stiffer();
     // Half a second is a period of every axis.
     let repeats = |nth: u32, axis: usize, time_s: f64| {
         let hz = 2.0 * (1.0 + f64::from(nth) + axis as f64);
@@ -94,7 +84,7 @@ fn lost_samples_are_none_that_do_not_repeat() {
         let mut session = session_of(&other, repeats, |_, _, um| um);
         session.recordings.iter_mut().for_each(|e| e.recording.meta.period_s = Some(0.5));
         let session = without_rows(session, |nth, row| (row * 7_919 + nth * 31) % lost_of == 0);
-        gap::diagnose(&rig, &session, &Options::default()).expect("diagnosis").diagnosis
+        diagnosed_as_paper_rig(&session)
     };
     let (whole, holed) = (answer(usize::MAX), answer(400));
     eprintln!("{:?}\n{:?}", whole.gap, holed.gap);
@@ -107,7 +97,7 @@ fn lost_samples_are_none_that_do_not_repeat() {
 
 #[test]
 fn a_gauge_that_does_not_follow_is_nobodys_effect() {
-    let rig = Rig::named("handley").expect("built in");
+    let rig = paper_rig();
     // Not connected, or frozen: with the noise of its amplifier, or without any.
     for (rest_um, share) in [(0.0, 0.0), (3.7, 0.0), (0.0, 1.0e-3)] {
         let still = |axis: usize, _: usize, um: f64| {
@@ -120,7 +110,7 @@ fn a_gauge_that_does_not_follow_is_nobodys_effect() {
                 .filter_map(|e| e.recording.position_um[1].as_mut())
                 .for_each(|um| um.fill(rest_um as f32));
         }
-        let d = gap::diagnose(&rig, &session, &Options::default()).expect("diagnosis").diagnosis;
+        let d = diagnosed_as_paper_rig(&session);
         assert_eq!(d.verdict, Verdict::Unexplained, "{rest_um}, {share}: {:?}", d.causes);
         assert!(d.causes.is_empty());
         assert!(d.notes.iter().any(|n| n.starts_with("Axis 2 does not move")), "{:?}", d.notes);

@@ -2,25 +2,9 @@
 
 mod common;
 
-use common::{session, session_of};
+use common::{diagnosed_as_paper_rig, paper_rig, session, session_of, stiffer};
 use gap::diagnosis::{Role, Verdict};
-use gap::{Diagnosis, Options, sentence};
-use host_sim::rig::Rig;
-use recording::Session;
-
-fn rig() -> Rig {
-    Rig::named("handley").expect("built in")
-}
-
-fn stiffer() -> Rig {
-    let mut rig = rig();
-    rig.axes[1].mechanism.stiffness_n_per_m *= 1.2;
-    rig
-}
-
-fn diagnosed(session: &Session) -> Diagnosis {
-    gap::diagnose(&rig(), session, &Options::default()).expect("diagnosis").diagnosis
-}
+use gap::{Diagnosis, sentence};
 
 #[test]
 fn a_period_that_is_none_is_not_believed() {
@@ -32,7 +16,7 @@ fn a_period_that_is_none_is_not_believed() {
         };
         let mut session = session_of(&stiffer(), drive, |_, _, um| um);
         session.recordings.iter_mut().for_each(|entry| entry.recording.meta.period_s = period_s);
-        diagnosed(&session)
+        diagnosed_as_paper_rig(&session)
     };
     let without = with_period(None);
     let wrong = with_period(Some(0.37));
@@ -51,7 +35,7 @@ fn a_period_of_the_drive_is_believed() {
     let mut session = session(&stiffer(), |_, _, um| um);
     // Whole hertz on every axis; a fifth of the second period is there, and enough to see that it repeats.
     session.recordings.iter_mut().for_each(|entry| entry.recording.meta.period_s = Some(1.0));
-    let d = diagnosed(&session);
+    let d = diagnosed_as_paper_rig(&session);
     assert!(!d.notes.iter().any(|n| n.contains("period_s")), "{:?}", d.notes);
 }
 
@@ -60,7 +44,7 @@ fn a_check_on_parts_of_what_was_fitted_says_so() {
     let mut session = session(&stiffer(), |_, _, um| um);
     for many in [3, 2, 1] {
         session.recordings.truncate(many);
-        let d = diagnosed(&session);
+        let d = diagnosed_as_paper_rig(&session);
         assert_eq!(d.verdict, Verdict::Explained, "{many}");
         let is_in_parts = d.recordings.iter().all(|r| r.role == Role::Fit);
         let is_noted = d.notes.iter().any(|n| n.contains("weaker promise"));
@@ -68,9 +52,9 @@ fn a_check_on_parts_of_what_was_fitted_says_so() {
         assert_eq!([is_in_parts, is_noted, is_said], [many < 3; 3], "{many}: {:?}", d.notes);
     }
     // Where there is no gap nothing is promised.
-    let mut none = common::session(&rig(), |_, _, um| um);
+    let mut none = common::session(&paper_rig(), |_, _, um| um);
     none.recordings.truncate(1);
-    let d = diagnosed(&none);
+    let d = diagnosed_as_paper_rig(&none);
     assert_eq!(d.verdict, Verdict::NoGap);
     assert!(!d.notes.iter().any(|n| n.contains("weaker promise")), "{:?}", d.notes);
 }

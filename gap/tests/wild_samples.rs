@@ -2,27 +2,10 @@
 
 mod common;
 
-use common::{session, session_of, squares};
+use common::{diagnosed_as_paper_rig, paper_rig, session, session_of, squares, stiffer};
 use gap::diagnosis::Verdict;
 use gap::session::intake;
-use gap::{Diagnosis, Options};
-use host_sim::rig::Rig;
 use recording::Session;
-
-fn rig() -> Rig {
-    Rig::named("handley").expect("built in")
-}
-
-/// The rig with a stiffer second axis.
-fn stiffer() -> Rig {
-    let mut rig = rig();
-    rig.axes[1].mechanism.stiffness_n_per_m *= 1.2;
-    rig
-}
-
-fn diagnosed(session: &Session) -> Diagnosis {
-    gap::diagnose(&rig(), session, &Options::default()).expect("diagnosis").diagnosis
-}
 
 /// Change readings of a gauge (from 0) in a recording.
 fn disturb(session: &mut Session, nth: usize, axis: usize, change: impl Fn(usize, f32) -> f32) {
@@ -32,7 +15,7 @@ fn disturb(session: &mut Session, nth: usize, axis: usize, change: impl Fn(usize
 
 /// What is said of wild readings, and how many samples are not scored.
 fn taken_out(session: &Session) -> (Vec<String>, usize) {
-    let (tracks, notes) = intake::tracks(&rig(), session).expect("tracks");
+    let (tracks, notes) = intake::tracks(&paper_rig(), session).expect("tracks");
     let absent = tracks.iter().flat_map(|track| &track.present).filter(|&&present| !present);
     (notes, absent.count())
 }
@@ -45,7 +28,7 @@ fn a_wild_sample_is_lost_and_told() {
     disturb(&mut spoilt, 1, 1, |row, um| if row == 7_001 { um - 20.0 } else { um });
     disturb(&mut spoilt, 4, 0, |row, um| if row == 3_000 { um + 0.6 } else { um });
     disturb(&mut spoilt, 2, 2, |row, um| if row / 2 == 250 { um + 20.0 } else { um });
-    let (whole, spoilt) = (diagnosed(&whole), diagnosed(&spoilt));
+    let (whole, spoilt) = (diagnosed_as_paper_rig(&whole), diagnosed_as_paper_rig(&spoilt));
     for d in [&whole, &spoilt] {
         assert_eq!((d.verdict, &d.causes[0].axes[..]), (Verdict::Explained, &[2][..]));
         assert!((d.gap.after_nm / d.gap.floor_nm - 1.0).abs() < 0.02, "{:?}", d.gap);
@@ -66,7 +49,7 @@ fn a_wild_sample_is_lost_and_told() {
 
 #[test]
 fn what_disturbs_all_converters_at_once_is_taken_out_of_all_of_them() {
-    let mut all = session(&rig(), |_, row, um| if row == 5_000 { 50.0 } else { um });
+    let mut all = session(&paper_rig(), |_, row, um| if row == 5_000 { 50.0 } else { um });
     let (notes, absent) = taken_out(&all);
     assert_eq!((notes.len(), absent), (15, 5), "{notes:?}");
     // And out of a monitor as well as out of gauges.
@@ -114,7 +97,7 @@ fn motion_and_diseases_of_a_gauge_are_not_wild() {
     }
     // A gauge that is late by a tick, or by many: the edges of its readings stand out of the difference.
     for late in [1, 3, 60] {
-        let mut session = session_of(&rig(), squares, |_, _, um| um);
+        let mut session = session_of(&paper_rig(), squares, |_, _, um| um);
         session.recordings.iter_mut().for_each(|entry| {
             let um = entry.recording.position_um[0].as_mut().expect("measured");
             um.rotate_right(late);
@@ -128,7 +111,7 @@ fn motion_and_diseases_of_a_gauge_are_not_wild() {
 fn many_wild_samples_are_a_disease_that_stays() {
     let sick =
         session(
-            &rig(),
+            &paper_rig(),
             |axis, row, um| {
                 if axis == 2 && (row * 7_919) % 12_000 < 40 { um + 5.0 } else { um }
             },

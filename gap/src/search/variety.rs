@@ -40,71 +40,53 @@ struct Variety {
     granted_below: Option<f64>,
 }
 
+/// What most of them have.
+const USUAL: Variety = Variety {
+    effect: "",
+    parameter: "",
+    start: 0.0,
+    with: None,
+    growth: 1.0,
+    leaves: 1.0,
+    granted_below: None,
+};
+
 const VARIETIES: [Variety; 7] = [
     Variety {
         effect: "amplifier-current-limit",
         parameter: "knee",
         start: 0.35,
-        with: None,
         growth: 1.25,
-        leaves: 1.0,
-        granted_below: None,
+        ..USUAL
     },
-    Variety {
-        effect: "creep",
-        parameter: "level",
-        start: 0.1,
-        with: None,
-        growth: 1.0,
-        leaves: 1.0,
-        granted_below: None,
-    },
+    Variety { effect: "creep", parameter: "level", start: 0.1, ..USUAL },
     Variety {
         effect: "friction",
         parameter: "corner",
         start: 0.7,
-        with: None,
-        growth: 1.0,
         leaves: 0.8,
         granted_below: Some(0.25),
+        ..USUAL
     },
     Variety {
         effect: "friction",
         parameter: "spread_decades",
         start: 1.5,
         with: Some(("corner", 0.9)),
-        growth: 1.0,
         leaves: 0.5,
-        granted_below: None,
+        ..USUAL
     },
     Variety {
         effect: "friction",
         parameter: "stribeck",
         start: 0.4,
-        with: None,
         growth: 0.85,
         leaves: 0.4,
-        granted_below: None,
+        ..USUAL
     },
     // From axis to axis, and under both of them.
-    Variety {
-        effect: "stiffness-coupling",
-        parameter: "own",
-        start: -1.0,
-        with: None,
-        growth: 1.0,
-        leaves: 0.5,
-        granted_below: None,
-    },
-    Variety {
-        effect: "stiffness-coupling",
-        parameter: "own",
-        start: 1.0,
-        with: None,
-        growth: 1.0,
-        leaves: 0.5,
-        granted_below: None,
-    },
+    Variety { effect: "stiffness-coupling", parameter: "own", start: -1.0, leaves: 0.5, ..USUAL },
+    Variety { effect: "stiffness-coupling", parameter: "own", start: 1.0, leaves: 0.5, ..USUAL },
 ];
 
 /// Effect with laws of several kinds: for each the parameters that are not at their zero, or the default of a shape, where a fit of it begins.

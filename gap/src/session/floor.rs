@@ -5,8 +5,11 @@
 //! excitation is periodic. The lowest reliable one is taken: each of them can only be too high. What differs from period to period is kept level by level as well, because no model can
 //! explain it.
 
+use host_sim::rig::Rig;
+
 use crate::session::intake::Track;
 use crate::session::pyramid::{Levels, transform};
+use crate::session::scene::METRES_TO_UM;
 
 /// A quantity that was measured along an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -15,6 +18,16 @@ pub enum Kind {
     Position,
     /// Amplifier output, volts.
     Monitor,
+}
+
+impl Kind {
+    /// Noise of an axis that the rig file states, in the unit of the channel (root mean square); 0 where it says nothing.
+    pub(crate) fn stated(self, rig: &Rig, axis: usize) -> f64 {
+        match self {
+            Self::Position => rig.axes[axis].sensor.noise_rms_m * METRES_TO_UM,
+            Self::Monitor => rig.axes[axis].monitor.as_ref().map_or(0.0, |m| m.noise_rms_v),
+        }
+    }
 }
 
 /// Noise of one axis and kind over the session.
@@ -132,7 +145,8 @@ pub fn unrepeated(track: &Track, series: &[f32]) -> Option<Unrepeated> {
     Some(Unrepeated { difference, present })
 }
 
-fn column(track: &Track, axis: usize, kind: Kind) -> Option<&Vec<f32>> {
+/// What was measured of it in a recording.
+pub(super) fn column(track: &Track, axis: usize, kind: Kind) -> Option<&Vec<f32>> {
     match kind {
         Kind::Position => track.position_um[axis].as_ref(),
         Kind::Monitor => track.monitor_v[axis].as_ref(),
@@ -210,15 +224,15 @@ pub fn unrepeatable_levels(
 
 #[cfg(test)]
 mod tests {
+    use rand::rngs::StdRng;
+    use rand::{RngExt, SeedableRng};
+
     use super::*;
 
     /// Three periods of 1000 samples that repeat to the last bit but for noise of one unit.
     fn track(lost: impl Fn(usize) -> bool) -> Track {
-        let mut state = 1_u64;
-        let mut noise = move || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-            ((state >> 40) as f32 / 16_777_216.0 - 0.5) * 12.0_f32.sqrt()
-        };
+        let mut rng = StdRng::seed_from_u64(1);
+        let mut noise = move || (rng.random::<f32>() - 0.5) * 12.0_f32.sqrt();
         let mut held = 0.0;
         let series = (0..3000).map(|i| {
             let value = 1.0e3 * (i as f32 * std::f32::consts::TAU / 1000.0).sin() + noise();
@@ -259,6 +273,7 @@ mod tests {
             assert!((periodic - 1.0).abs() < 0.1, "{lost} lost: {periodic}");
             let levels = Levels::new(track.len());
             let floor = unrepeatable_levels(&track, 0, Kind::Position, 1.0, &levels);
+            // The mean of twelve squares exceeds 3 once in six thousand times.
             assert!(floor.iter().all(|&f| f < 3.0), "{lost} lost: {floor:?}");
         }
     }

@@ -140,8 +140,8 @@ impl Scene {
         track: usize,
     ) -> Result<Vec<Arc<[Stretch]>>, Error> {
         let Track { position_um, present, replaced, lead_in, .. } = &self.tracks[track];
-        let lacking = (0..*lead_in).filter(|sample| !present[*sample]);
-        let is_whole = lacking.into_iter().all(|sample| replaced.contains(&sample));
+        let mut lacking = (0..*lead_in).filter(|sample| !present[*sample]);
+        let is_whole = lacking.all(|sample| replaced.contains(&sample));
         let measured_m = |axis: usize, sample: usize| {
             Some(f64::from(position_um[axis].as_ref()?[sample]) * 1.0e-6)
         };

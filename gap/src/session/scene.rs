@@ -21,7 +21,7 @@ use crate::session::work::Work;
 
 /// Share of the nominal gap of a band that a correct effect of another form may leave.
 pub const TOLERANCE: f64 = 0.05;
-const METRES_TO_UM: f64 = 1.0e6;
+pub(super) const METRES_TO_UM: f64 = 1.0e6;
 /// Until then an amplifier is where the recording began, s.
 const AMPLIFIER_SETTLES_S: f64 = 0.05;
 
@@ -68,13 +68,8 @@ impl Scene {
     /// Channels and noise of a session; weights are those of the noise alone until [`Channel::weigh`] is called.
     pub fn new(rig: &Rig, tracks: Vec<Track>) -> Self {
         let axes = rig.axes.len();
-        let noise = |axis: usize, kind: Kind| {
-            let stated = match kind {
-                Kind::Position => rig.axes[axis].sensor.noise_rms_m * METRES_TO_UM,
-                Kind::Monitor => rig.axes[axis].monitor.as_ref().map_or(0.0, |m| m.noise_rms_v),
-            };
-            floor::noise(&tracks, axis, kind, stated)
-        };
+        let noise =
+            |axis: usize, kind: Kind| floor::noise(&tracks, axis, kind, kind.stated(rig, axis));
         let position_noise: Vec<_> = (0..axes).map(|a| noise(a, Kind::Position)).collect();
         let monitor_noise: Vec<_> = (0..axes).map(|a| noise(a, Kind::Monitor)).collect();
         let mut channels = Vec::new();

@@ -14,7 +14,7 @@ use host_sim::{Axes, Input, Output, simulate};
 use rayon::prelude::*;
 
 use crate::Error;
-use crate::session::floor::{self, Kind};
+use crate::session::floor::{self, Kind, column};
 use crate::session::intake::Track;
 
 /// Least that they are off, in units of the noise: less than that does not spoil a diagnosis.
@@ -60,10 +60,9 @@ pub(super) fn leave_out(rig: &Rig, tracks: &mut [Track]) -> Result<Vec<String>, 
     let mut nominal: Vec<Option<Nominal>> = tracks.iter().map(|_| None).collect();
     for axis in 0..rig.axes.len() {
         for kind in [Kind::Position, Kind::Monitor] {
-            let Some(noise) = floor::noise(tracks, axis, kind, stated(rig, axis, kind)) else {
-                continue;
-            };
-            let least = LEAST_NOISES * noise.sigma.max(stated(rig, axis, kind));
+            let stated = kind.stated(rig, axis);
+            let Some(noise) = floor::noise(tracks, axis, kind, stated) else { continue };
+            let least = LEAST_NOISES * noise.sigma.max(stated);
             let suspects: Vec<usize> = (0..tracks.len())
                 .into_par_iter()
                 .filter(|&t| {
@@ -105,21 +104,6 @@ pub(super) fn leave_out(rig: &Rig, tracks: &mut [Track]) -> Result<Vec<String>, 
         replace(&mut tracks[t], axis, kind, &runs);
     }
     Ok(notes)
-}
-
-/// Noise of a column by the rig file; 0 where it says nothing.
-fn stated(rig: &Rig, axis: usize, kind: Kind) -> f64 {
-    match kind {
-        Kind::Position => rig.axes[axis].sensor.noise_rms_m * 1.0e6,
-        Kind::Monitor => rig.axes[axis].monitor.as_ref().map_or(0.0, |m| m.noise_rms_v),
-    }
-}
-
-fn column(track: &Track, axis: usize, kind: Kind) -> Option<&Vec<f32>> {
-    match kind {
-        Kind::Position => track.position_um[axis].as_ref(),
-        Kind::Monitor => track.monitor_v[axis].as_ref(),
-    }
 }
 
 fn readings(runs: &[Run]) -> usize {

@@ -50,7 +50,8 @@ const LAWS_IN_PARTS: [(&str, &str, u64); 2] =
     [("hysteresis-shape", "yield", 40), ("hysteresis-shape", "spread", 90)];
 /// The same for one without.
 const PLAIN: u64 = 10;
-/// Effects that take a lively tick in parts, as a mechanism does that weighs something by itself, and every one where something asks for all of them, however calm.
+/// Effects that take a lively tick in parts, as a mechanism does that weighs something by itself, and every one where something asks for all of
+/// them, however calm.
 const IN_PARTS: [&str; 2] = ["inertia", "second-mass"];
 /// What such a part takes of an axis that nothing ties and that has nothing else; of one that is tied it takes [`PLAIN`].
 const PART: u64 = 4;

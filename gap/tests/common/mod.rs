@@ -17,6 +17,23 @@ const AXES: usize = 3;
 /// Noise of the gauges, um rms.
 const NOISE_UM: f64 = 0.004;
 
+/// The paper's rig.
+pub fn paper_rig() -> Rig {
+    Rig::named("handley").expect("library rig")
+}
+
+/// The same with a stiffer second axis.
+pub fn stiffer() -> Rig {
+    let mut rig = paper_rig();
+    rig.axes[1].mechanism.stiffness_n_per_m *= 1.2;
+    rig
+}
+
+/// What is said of a session of the paper's rig.
+pub fn diagnosed_as_paper_rig(session: &Session) -> Diagnosis {
+    diagnose(&paper_rig(), session, &Options::default()).expect("diagnosis").diagnosis
+}
+
 /// Five recordings of sines on all axes of `rig`, each reading passed through `gauge` (axis, row, um).
 pub fn session(rig: &Rig, gauge: impl Fn(usize, usize, f64) -> f64) -> Session {
     session_of(rig, sines, gauge)

@@ -39,8 +39,8 @@ static INFO: Info = Info {
               spring of coulomb/presliding in series with a slider (Jenkins), which gives way at once. \
               What rubs dry takes more to break loose than to slide (Stribeck): the level grows by stribeck exp(-(v/stribeck_m_per_s)^2), by the speed of the tick \
               before, which the force follows in its presliding length. \
-              Many contacts slip one after the other (Iwan; Maxwell slip): the corner's share is then eight equal springs with sliders, whose lengths are \
-              an eighth of spread_decades apart, presliding in the middle.",
+              Many contacts slip one after the other (Iwan; Maxwell slip): the corner's share is then eight sliders of equal force, each behind a spring that \
+              gives until it slips, in lengths an eighth of spread_decades apart, presliding in the middle.",
     source: "Dahl, 1968; G. M. Jenkins, Br. J. Appl. Phys. 13, 30, 1962; Coulomb's level made smooth with a hyperbolic tangent; Canudas de Wit et al., IEEE Trans. Autom. Control 40, 419, 1995 (level of LuGre's law); W. D. Iwan, J. Appl. Mech. 33, 893, 1966; a touching cable, a guide or a stop; loop height constant in force (notes/gap.md, section 3)",
     revealed_by: "slow triangles at small and large strokes: the same step at each reversal",
     confused_with: &["hysteresis-shape", "preload-loss", "hysteresis-rate"],
@@ -50,7 +50,7 @@ static INFO: Info = Info {
 const SATURATED: f64 = 20.0;
 /// Presliding lengths after which nothing is left of the force before, to the last bit of the one after.
 const FORGOTTEN: f64 = 40.0;
-/// Springs with sliders of a friction whose presliding lengths are spread.
+/// Sliders of a friction whose presliding lengths are spread.
 const SLIDERS: usize = 8;
 
 /// Forces of a friction, N.

@@ -20,9 +20,9 @@ pub const MAX_STATES: usize = 12;
 const RESOLVED_PER_S: f64 = std::f64::consts::TAU * 20.0e3;
 /// Phase of the fastest resolved mode a sub-step, rad.
 const PHASE: f64 = 0.45;
-/// Turns (in radians) that a mode makes in the amplifier's time constant, up to which that holds. A faster one is excited the less, and goes so much
-/// farther in a sub-step: on a stage of 30 g that swings at 7 kHz behind 0.6 ms, four of them in a tick of 0.1 ms instead of sixteen leave
-/// 0.02 nm rms of the microns that it goes (`tests/rates.rs`).
+/// Phase that a mode makes in the amplifier's time constant, rad, up to which that holds. A faster one is excited the less, and goes so much
+/// farther in a sub-step: a stage of 30 g that swings at 7 kHz behind 0.6 ms goes in four of them a tick of 0.1 ms instead of sixteen, and is
+/// within 0.06 nm rms of where it should be (`tests/rates.rs`).
 const EXCITED: f64 = 10.0;
 /// Most sub-steps.
 const MAX_SUBSTEPS: usize = 32;

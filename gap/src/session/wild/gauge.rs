@@ -3,8 +3,8 @@
 use host_sim::rig::Rig;
 use rayon::prelude::*;
 
-use super::{ACCIDENTS, AFTER_A_STEP, AFTER_A_STEP_S, Nominal, Run, column, readings};
-use crate::session::floor::Kind;
+use super::{ACCIDENTS, AFTER_A_STEP, AFTER_A_STEP_S, Nominal, Run, readings};
+use crate::session::floor::{Kind, column};
 use crate::session::intake::Track;
 
 /// Most wild readings in a row: more of them may be motion.

@@ -108,12 +108,11 @@ impl StrainLossSim {
     fn part(&self, before: Loss, held_c: f64, per_newton_c: f64) -> (Loss, usize) {
         let driven_c = held_c - per_newton_c * before.force_n;
         let (mut low, mut high) = (driven_c.min(0.0), driven_c.max(0.0));
-        let is_between = before.rate_c > low && before.rate_c < high;
-        let mut rate = match is_between {
-            true => before.rate_c,
-            // As the current begins.
-            false => driven_c / (1.0 - per_newton_c * self.force(0.0).1),
-        };
+        let mut rate = before.rate_c;
+        if rate <= low || rate >= high {
+            // As a current begins.
+            rate = driven_c / (1.0 - per_newton_c * self.force(0.0).1);
+        }
         for round in 1..=ROUNDS {
             let (force_n, slope) = self.force(rate);
             let error = rate - held_c - per_newton_c * (force_n - before.force_n);
@@ -194,6 +193,7 @@ mod tests {
                 }
             }
         }
-        assert!(most <= 40, "{most} rounds");
+        // 27 were measured.
+        assert!(most <= 30, "{most} rounds");
     }
 }
