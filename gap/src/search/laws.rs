@@ -21,6 +21,8 @@ const MOST_OF_AN_AXIS: f64 = 0.2;
 const FIGHTS: f64 = 2.0;
 /// Share of the gap that the form of such a loop leaves at most, once what else is missing is told beside it.
 const FORM_OF_ANY: f64 = 0.03;
+/// ... or this share of what the best model with plain loops leaves.
+const FORM_BESIDE_PLAIN: f64 = 0.1;
 
 impl Search<'_> {
     /// The model of a search in which loops are let go at once, where one of several axes asks for it: no effect accounts for half of what it
@@ -72,18 +74,19 @@ impl Search<'_> {
     }
 
     /// The model of a search gone on from loops that were let go, if there is one among its effects, friction is not, and what they leave is the
-    /// form of a loop.
+    /// form of a loop, or far less than all else.
     fn beside_laws(&mut self, freed: Vec<Model>) -> Result<Option<Model>, Error> {
         let known = self.tried.clone();
+        let left = |m: &Model| m.fit.cost - self.noise;
+        let by_plain = known.first().map_or(0.0, left);
+        let most = (FORM_OF_ANY * self.gap).max(FORM_BESIDE_PLAIN * by_plain);
         self.tried.retain(|model| !model.key().contains(&LOOP));
         freed.into_iter().for_each(|free| self.remember(free));
         self.ranges.any_loop = true;
         let any = self.select()?;
         let is_it = |m: &Model| {
             let key = m.key();
-            key.contains(&LOOP)
-                && !key.contains(&FRICTION)
-                && m.fit.cost - self.noise < FORM_OF_ANY * self.gap
+            key.contains(&LOOP) && !key.contains(&FRICTION) && m.fit.cost - self.noise < most
         };
         if any.as_ref().is_some_and(is_it) {
             return Ok(any);

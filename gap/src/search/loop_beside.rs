@@ -2,7 +2,8 @@
 //!
 //! Elements of any law close their minor loops or forget them, and nine numbers of them bend to what was recorded of a loop that does neither:
 //! they close 0.97 of what is fitted, and half of what is not. A fit gets to the other law from nominal elements only, of which the loop
-//! takes the place of a share. That is tried where a loop by itself accounts for most of its axes and leaves something.
+//! takes the place of a share. That is tried where a loop by itself accounts for most of its axes and leaves something,
+//! or where nothing else accounts for much.
 
 use host_sim::effects::Place;
 
@@ -33,6 +34,8 @@ const ITERATIONS: usize = 20;
 const ON_THE_WAY: f64 = 5.0;
 /// Share of what is left without it that may be left with it: it has four numbers of its own.
 const LEAVES: f64 = 0.8;
+/// Share of the gap that all else leaves at least where it is tried although a loop by itself accounts for little.
+const LITTLE: f64 = 0.3;
 
 impl Search<'_> {
     /// A loop of any law by itself, or the same with one of Bouc and Wen's law in place of a share of its elements, if that leaves less.
@@ -40,7 +43,9 @@ impl Search<'_> {
         let hysteresis = |place: Place| &self.nominal.axes[place.on()].piezo.hysteresis;
         let has_elements = |place: &Place| !hysteresis(*place).limit_v.is_empty();
         let is_alone = freed.terms.len() == 1 && freed.terms[0].places.iter().all(has_elements);
-        if !is_alone || !self.is_mostly_a_loop(&freed) || !self.scene.work.grants() {
+        // Elements that give way have the height and the width of this law, and the wrong minor loops: they may account for little.
+        let is_worth_it = self.is_mostly_a_loop(&freed) || self.knows_little();
+        if !is_alone || !is_worth_it || !self.scene.work.grants() {
             return Ok(freed);
         }
         let left = freed.fit.cost - self.noise;
@@ -67,6 +72,11 @@ impl Search<'_> {
             fit(starts.swap_remove(0).fit.values, effort)
         })?;
         Ok(if beside.fit.cost < line { beside } else { freed })
+    }
+
+    /// Whether nothing that was tried accounts for most of the gap.
+    fn knows_little(&self) -> bool {
+        self.tried.first().is_none_or(|best| best.fit.cost - self.noise > LITTLE * self.gap)
     }
 
     /// Whether a loop accounts for most of what there is on its axes: what fades from a reading is a loop to some extent, and the more of one the
