@@ -4,7 +4,10 @@ use gap::diagnosis::Verdict;
 
 mod common;
 
-use common::{assert_explained, causes, drawn, drawn_in_a_further_form, drawn_of_the_paper};
+use common::{
+    assert_explained, causes, drawn, drawn_in_a_further_form, drawn_in_a_further_form_of_the_paper,
+    drawn_of_the_paper,
+};
 
 #[test]
 fn an_amplifier_with_a_second_pole_is_a_slow_amplifier() {
@@ -206,6 +209,14 @@ fn an_amplifier_that_rings_is_amplifier_bandwidth() {
 fn relaxation_in_every_decade_is_viscoelasticity() {
     let diagnosis = drawn_in_a_further_form(3201, 4, "viscoelasticity", &LOSSES);
     assert_explained(&diagnosis, &[("viscoelasticity", &[2][..])]);
+}
+
+/// Elements that give way come near to it where they were fitted, and to nothing of it elsewhere.
+#[test]
+fn loops_of_bouc_and_wen_on_all_axes_are_loops() {
+    let diagnosis = drawn_in_a_further_form_of_the_paper(5150, 4, "hysteresis-shape");
+    assert_explained(&diagnosis, &[("hysteresis-shape", &[1, 2, 3][..])]);
+    assert!(diagnosis.gap.closed > 0.99, "{}", diagnosis.gap.closed);
 }
 
 #[test]

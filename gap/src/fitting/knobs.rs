@@ -131,6 +131,12 @@ impl Knob {
         self.min == self.max
     }
 
+    /// Parameter of an effect that it turns.
+    pub(crate) fn parameter(&self) -> Option<&'static str> {
+        let Target::Effect { effect, index, .. } = &self.target else { return None };
+        Some(effect.info().parameters[*index].name)
+    }
+
     /// Whether it only tells two varieties of an effect apart that is one number in most rigs.
     pub fn is_variety(&self) -> bool {
         let Target::Effect { effect, index, .. } = &self.target else { return false };

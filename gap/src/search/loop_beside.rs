@@ -8,13 +8,14 @@
 use host_sim::effects::Place;
 
 use crate::Error;
-use crate::fitting::fit::Effort;
-use crate::fitting::model::Model;
+use crate::fitting::fit::{Effort, fit};
+use crate::fitting::model::{Model, knobs_of};
+use crate::judge::accept;
 use crate::search::loops::{HALF, begun_with};
 use crate::search::select::Search;
 
 /// Where a fit begins, but for the loop's size: nominal elements.
-const NOMINAL: [(&str, f64); 7] = [
+const NOMINAL: [(&str, f64); 8] = [
     ("slip", 1.0),
     ("tilt", 0.0),
     ("bend", 0.0),
@@ -22,6 +23,7 @@ const NOMINAL: [(&str, f64); 7] = [
     ("imprint_v", 0.0),
     ("yield", 0.0),
     ("spread", 0.0),
+    ("recoil", 1.0),
 ];
 /// Shape of the loop there.
 const SHAPE: [(&str, f64); 2] = [("beside_exponent", 1.5), ("beside_recoil", 0.0)];
@@ -29,7 +31,7 @@ const SHAPE: [(&str, f64); 2] = [("beside_exponent", 1.5), ("beside_recoil", 0.0
 const CHARGE: f64 = 0.5;
 /// Shares of the elements that it takes the place of.
 const SHARES: [f64; 3] = [0.05, 0.12, 0.35];
-/// Iterations of the fit, and the multiple of what is left without the loop that it may leave on its way: the start is far off.
+/// Iterations of a fit, and the multiple of what is left without the loop that the one of everything may leave on its way.
 const ITERATIONS: usize = 20;
 const ON_THE_WAY: f64 = 5.0;
 /// Share of what is left without it that may be left with it: it has four numbers of its own.
@@ -61,17 +63,42 @@ impl Search<'_> {
                 [&NOMINAL[..], &SHAPE, &own].concat()
             })
         };
-        let fit = |start, effort| self.fit_model(freed.terms.clone(), start, effort);
         let beside = self.scene.work.grant(|| {
             let only_look = Effort { iterations: 0, ..self.effort() };
-            let looks = SHARES.map(|share| fit(begun(share), only_look));
+            let looks = SHARES.map(|share| self.beside_nominal(&freed, begun(share), only_look));
             let mut starts = looks.into_iter().collect::<Result<Vec<_>, _>>()?;
             starts.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+            // The start is far off, and the way long.
+            let effort = Effort { iterations: ITERATIONS, ..self.effort() };
+            let nominal = self.beside_nominal(&freed, starts.swap_remove(0).fit.values, effort)?;
+            if accept::is_clean(self.scene, &nominal.fit.stack) {
+                return Ok(nominal);
+            }
             let hopeless = self.noise + ON_THE_WAY * left;
-            let effort = Effort { iterations: ITERATIONS, hopeless, ..self.effort() };
-            fit(starts.swap_remove(0).fit.values, effort)
+            let effort = Effort { hopeless, ..effort };
+            self.fit_model(freed.terms.clone(), nominal.fit.values, effort)
         })?;
         Ok(if beside.fit.cost < line { beside } else { freed })
+    }
+
+    /// `freed` fitted from these values with its elements as they are nominally, but for their strength: they and the loop can take each other's
+    /// place, and all at once a fit ends where they do, right in what it was fitted to and wrong elsewhere.
+    fn beside_nominal(
+        &self,
+        freed: &Model,
+        start: Vec<f64>,
+        effort: Effort,
+    ) -> Result<Model, Error> {
+        let mut knobs = knobs_of(&freed.terms, &self.ranges);
+        for (knob, value) in knobs.iter_mut().zip(&start) {
+            let stays = |name: &str| NOMINAL.iter().any(|(nominal, _)| *nominal == name);
+            if knob.parameter().is_some_and(stays) {
+                (knob.min, knob.max) = (*value, *value);
+            }
+        }
+        let (base, include) = (Some(&self.base), self.include);
+        let fit = fit(self.scene, self.nominal, knobs, start, effort, base, include)?;
+        Ok(Model { terms: freed.terms.clone(), fit, ranges: self.ranges.clone() })
     }
 
     /// Whether nothing that was tried accounts for most of the gap.

@@ -67,6 +67,8 @@ pub(crate) struct Work {
     spent: AtomicU64,
     /// How much of that was granted beyond the rest.
     granted: AtomicU64,
+    /// Whether what is counted is granted.
+    is_granting: AtomicBool,
     /// Samples of all recordings on all axes.
     session: u64,
     /// Whether something was left out because of it.
@@ -79,6 +81,7 @@ impl Work {
         Self {
             spent: AtomicU64::new(0),
             granted: AtomicU64::new(0),
+            is_granting: AtomicBool::new(false),
             session: samples.max(1) as u64,
             ended: AtomicBool::new(false),
         }
@@ -86,7 +89,11 @@ impl Work {
 
     /// Count a simulation of the axes in a mask.
     pub(crate) fn count(&self, rig: &Rig, axes: u32, ticks: &Ticks) {
-        self.spent.fetch_add(price(rig, axes, ticks), Ordering::Relaxed);
+        let price = price(rig, axes, ticks);
+        if self.is_granting.load(Ordering::Relaxed) {
+            self.granted.fetch_add(price, Ordering::Relaxed);
+        }
+        self.spent.fetch_add(price, Ordering::Relaxed);
     }
 
     /// Whether a search may still spend so much, in tenths of plain ticks.
@@ -111,10 +118,9 @@ impl Work {
     /// Do something that is granted beyond the rest: another form of an effect that was found leaves as much for looking on. Nothing else may be
     /// counted meanwhile.
     pub(crate) fn grant<T>(&self, done: impl FnOnce() -> T) -> T {
-        let before = self.spent.load(Ordering::Relaxed);
+        self.is_granting.store(true, Ordering::Relaxed);
         let result = done();
-        let took = self.spent.load(Ordering::Relaxed) - before;
-        self.granted.fetch_add(took, Ordering::Relaxed);
+        self.is_granting.store(false, Ordering::Relaxed);
         result
     }
 

@@ -111,14 +111,22 @@ pub fn drawn(seed: u64, index: u64, of: &[&str]) -> Diagnosis {
 
 /// The same with effects in further forms, one a case.
 pub fn drawn_in_a_further_form(seed: u64, index: u64, of: &str, among: &[&str]) -> Diagnosis {
-    let draw = Draw {
-        other_rigs: true,
+    let draw = Draw { other_rigs: true, ..in_a_further_form(among) };
+    diagnosed_case((seed, index), &draw, &[of], &[])
+}
+
+/// The same on the paper's rig.
+pub fn drawn_in_a_further_form_of_the_paper(seed: u64, index: u64, of: &str) -> Diagnosis {
+    diagnosed_case((seed, index), &in_a_further_form(&[of]), &[of], &[])
+}
+
+fn in_a_further_form(among: &[&str]) -> Draw {
+    Draw {
         further_forms: true,
         weights: [0.0, 1.0, 0.0, 0.0],
         only: owned(among),
         ..Draw::default()
-    };
-    diagnosed_case((seed, index), &draw, &[of], &[])
+    }
 }
 
 /// The same with a fault that is physics of a healthy rig; the note of the case begins with the fault's name.
