@@ -3,7 +3,8 @@
 //! A search with plain loops may spend all it has on what makes up for the law of a loop before [`crate::search::loops`] lets one go. Two things say
 //! early that it will: an axis of several of which no effect accounts for half, the plain loop for some of it and a loop let go for most;
 //! and a plain loop beside friction, each of which takes back what the other one does. The search then goes on from the loop that was let
-//! go, and what it comes to counts if it leaves no more than the form of a loop. Otherwise nothing has been said.
+//! go, and what it comes to counts if it leaves no more than the form of a loop, or far less than all else. Otherwise nothing
+//! has been said.
 
 use host_sim::effects::Place;
 

@@ -343,7 +343,11 @@ mod tests {
         let work = Work::new(3000);
         let pass = || work.count(&rig, 0b111, &ticks(1000, &[0.5; 3]));
         let before = work.most() - work.spent.load(Ordering::Relaxed);
-        work.grant(|| (0..1000).for_each(|_| pass()));
+        let is_cut_short = work.grant(|| {
+            (0..1000).for_each(|_| pass());
+            work.most() - work.spent.load(Ordering::Relaxed) != before
+        });
+        assert!(!is_cut_short, "what is granted uses up the rest while it runs");
         assert_eq!(work.passes(), 1000, "it is counted");
         assert_eq!(work.most() - work.spent.load(Ordering::Relaxed), before);
         let mut granted = 1;
