@@ -76,7 +76,7 @@ impl Search<'_> {
 
     /// The model of a search gone on from loops that were let go, if there is one among its effects, friction is not, and what they leave is the
     /// form of a loop, or far less than all else.
-    fn beside_laws(&mut self, freed: Vec<Model>) -> Result<Option<Model>, Error> {
+    pub(super) fn beside_laws(&mut self, freed: Vec<Model>) -> Result<Option<Model>, Error> {
         let known = self.tried.clone();
         let left = |m: &Model| m.fit.cost - self.noise;
         let by_plain = known.first().map_or(0.0, left);

@@ -11,8 +11,8 @@ use crate::Error;
 use crate::fitting::fit::{Effort, fit};
 use crate::fitting::model::{Model, knobs_of};
 use crate::judge::accept;
-use crate::search::loops::{HALF, begun_with};
-use crate::search::select::Search;
+use crate::search::loops::{HALF, LOOP, begun_with};
+use crate::search::select::{CLOSED, Search};
 
 /// Where a fit begins, but for the loop's size: nominal elements.
 const NOMINAL: [(&str, f64); 8] = [
@@ -38,13 +38,15 @@ const ON_THE_WAY: f64 = 5.0;
 const LEAVES: f64 = 0.8;
 /// Share of the gap that all else leaves at least where it is tried although a loop by itself accounts for little.
 const LITTLE: f64 = 0.3;
+/// Multiple of what the best single effect leaves that a plain loop may leave for it to be tried at once,
+const LEADS: f64 = 1.25;
+/// and share of what that effect leaves that may be left with it there.
+const FAR_LESS: f64 = 0.2;
 
 impl Search<'_> {
     /// A loop of any law by itself, or the same with one of Bouc and Wen's law in place of a share of its elements, if that leaves less.
     pub(super) fn with_loop_beside(&self, freed: Model) -> Result<Model, Error> {
-        let hysteresis = |place: Place| &self.nominal.axes[place.on()].piezo.hysteresis;
-        let has_elements = |place: &Place| !hysteresis(*place).limit_v.is_empty();
-        let is_alone = freed.terms.len() == 1 && freed.terms[0].places.iter().all(has_elements);
+        let is_alone = freed.terms.len() == 1 && self.has_elements(&freed);
         // Elements that give way have the height and the width of this law, and the wrong minor loops: they may account for little.
         let is_worth_it = self.is_mostly_a_loop(&freed) || self.knows_little();
         if !is_alone || !is_worth_it || !self.scene.work.grants() {
@@ -52,9 +54,49 @@ impl Search<'_> {
         }
         let left = freed.fit.cost - self.noise;
         let line = self.noise + LEAVES * left;
+        let beside = self.scene.work.grant(|| {
+            let nominal = self.beside_elements(&freed)?;
+            if accept::is_clean(self.scene, &nominal.fit.stack) {
+                return Ok(nominal);
+            }
+            let hopeless = self.noise + ON_THE_WAY * left;
+            let effort = Effort { iterations: ITERATIONS, hopeless, ..self.effort() };
+            self.fit_model(freed.terms.clone(), nominal.fit.values, effort)
+        })?;
+        Ok(if beside.fit.cost < line { beside } else { freed })
+    }
+
+    /// The model of a search gone on from such a loop, where it leaves far less than any single effect, of which none does better than a plain
+    /// loop. Pairs of a plain loop and what makes up for its law would use up what a search may spend.
+    pub(crate) fn law_beside_elements(&mut self) -> Result<Option<Model>, Error> {
+        let left = |m: &Model| m.fit.cost - self.noise;
+        let is_single = |m: &&Model| m.terms.len() == 1;
+        let best = self.tried.iter().find(is_single).map_or(f64::INFINITY, left);
+        let leads = |m: &&Model| m.key() == [LOOP] && left(m) < LEADS * best;
+        let Some(plain) = self.tried.iter().find(leads).cloned() else { return Ok(None) };
+        let says_nothing = best < CLOSED * self.gap || best > (1.0 - HALF) * self.gap;
+        let is_first_look = self.known.is_empty() && !self.ranges.any_loop;
+        if !is_first_look || says_nothing || !self.has_elements(&plain) || self.is_spent() {
+            return Ok(None);
+        }
+        self.ranges.any_loop = true;
+        let beside = self.beside_elements(&plain);
+        self.ranges.any_loop = false;
+        let beside = beside?;
+        if left(&beside) < FAR_LESS * best { self.beside_laws(vec![beside]) } else { Ok(None) }
+    }
+
+    /// Whether every loop of a model is of a stack with elements.
+    fn has_elements(&self, model: &Model) -> bool {
+        let hysteresis = |place: &Place| &self.nominal.axes[place.on()].piezo.hysteresis;
+        model.terms[0].places.iter().all(|place| !hysteresis(place).limit_v.is_empty())
+    }
+
+    /// Such a loop fitted in the places of `model`, a loop by itself.
+    fn beside_elements(&self, model: &Model) -> Result<Model, Error> {
         let begun = |share: f64| {
-            begun_with(&freed, |place| {
-                let elements = hysteresis(place);
+            begun_with(model, |place| {
+                let elements = &self.nominal.axes[place.on()].piezo.hysteresis;
                 let own = [
                     ("strength", 1.0 - share),
                     ("beside_v", share * elements.limit_v.iter().sum::<f64>()),
@@ -63,22 +105,13 @@ impl Search<'_> {
                 [&NOMINAL[..], &SHAPE, &own].concat()
             })
         };
-        let beside = self.scene.work.grant(|| {
-            let only_look = Effort { iterations: 0, ..self.effort() };
-            let looks = SHARES.map(|share| self.beside_nominal(&freed, begun(share), only_look));
-            let mut starts = looks.into_iter().collect::<Result<Vec<_>, _>>()?;
-            starts.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
-            // The start is far off, and the way long.
-            let effort = Effort { iterations: ITERATIONS, ..self.effort() };
-            let nominal = self.beside_nominal(&freed, starts.swap_remove(0).fit.values, effort)?;
-            if accept::is_clean(self.scene, &nominal.fit.stack) {
-                return Ok(nominal);
-            }
-            let hopeless = self.noise + ON_THE_WAY * left;
-            let effort = Effort { hopeless, ..effort };
-            self.fit_model(freed.terms.clone(), nominal.fit.values, effort)
-        })?;
-        Ok(if beside.fit.cost < line { beside } else { freed })
+        let only_look = Effort { iterations: 0, ..self.effort() };
+        let looks = SHARES.map(|share| self.beside_nominal(model, begun(share), only_look));
+        let mut starts = looks.into_iter().collect::<Result<Vec<_>, _>>()?;
+        starts.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+        // The start is far off, and the way long.
+        let effort = Effort { iterations: ITERATIONS, ..self.effort() };
+        self.beside_nominal(model, starts.swap_remove(0).fit.values, effort)
     }
 
     /// `freed` fitted from these values with its elements as they are nominally, but for their strength: they and the loop can take each other's

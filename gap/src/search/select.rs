@@ -147,6 +147,9 @@ impl<'a> Search<'a> {
         }
         self.of_each_axis(&nominal_gains)?;
         self.beside_what_others_have()?;
+        if let Some(model) = self.law_beside_elements()? {
+            return Ok(Some(model));
+        }
         if let Some(model) = self.law_of_an_axis(&nominal_gains)? {
             return Ok(Some(model));
         }
