@@ -3,7 +3,7 @@
 //! Stages are built alike, and what creeps or lags on two axes does so on the third. Where that one has a plain error of its own as well, the
 //! common effect by itself accounts for little of it and is not gone on from: one that bends to both does better. So where an effect alone
 //! accounts for every other axis, it is fitted to that one too, from where it stands there, beside each of the plain effects that the rest
-//! asks for. And where the best model has different effects on different axes, what it has elsewhere is fitted beside its own effects of each
+//! asks for, and others where none of these will do. And where the best model has different effects on different axes, what it has elsewhere is fitted beside its own effects of each
 //! axis that it leaves open. What this comes to is for [`crate::search::compose`] to take up.
 
 use host_sim::effects::Place;
@@ -35,8 +35,10 @@ const COUNTS: f64 = 0.05;
 const LAGS: f64 = 3.0;
 /// Effects of all others that are fitted there.
 const ALIKE: usize = 2;
-/// Plain ones beside each of them.
+/// Plain ones beside each of them,
 const PARTNERS: usize = 3;
+/// and others, where with none of the plain ones the two account for the axis.
+const FURTHER_PARTNERS: usize = 2;
 
 impl Search<'_> {
     /// Fit what other axes have, and a plain effect beside it, on each axis that asks for more.
@@ -55,9 +57,13 @@ impl Search<'_> {
                 continue;
             }
             for (effect, values, worst) in self.of_all_others(axis, &others) {
-                for (partner, start) in self.plain_beside(axis, effect, &values)? {
+                let mut is_found = false;
+                for (partner, start) in self.likely_beside(axis, effect, &values)? {
                     if self.is_spent() {
                         return Ok(());
+                    }
+                    if is_found && !is_plain(partner) {
+                        break;
                     }
                     let places = || vec![Place::Axis(axis)];
                     let terms = vec![
@@ -70,6 +76,7 @@ impl Search<'_> {
                     // What does not account for this axis as well may be where a fit got stuck, and keeps the two from being tried together.
                     let share = self.share_left(&model, axis);
                     let accounts = share < worst.max(FORM);
+                    is_found |= accounts;
                     if accounts && self.tried.iter().all(|m| self.share_left(m, axis) > share) {
                         self.remember(model);
                     }
@@ -164,8 +171,8 @@ impl Search<'_> {
         found.into_iter().filter_map(of_best).take(ALIKE).collect()
     }
 
-    /// Plain effects that promise most on an axis beside an effect of such values there, with what they start from.
-    fn plain_beside(
+    /// Effects that promise most on an axis beside an effect of such values there, with what they start from: plain ones first.
+    fn likely_beside(
         &self,
         axis: usize,
         effect: EffectRef,
@@ -181,10 +188,14 @@ impl Search<'_> {
         let known =
             Sensitivities::at(self.scene, self.nominal, &knobs, values, &stack, self.include)?;
         let gains = self.screen.test(self.scene, &stack, Some(&known));
-        let is_it =
-            |other: EffectRef, _: &Gain| is_plain(other) && other.info().name != effect.info().name;
-        let mut likely = self.likeliest_at(place, &gains, is_it);
+        let is_it = |other: EffectRef, _: &Gain| other.info().name != effect.info().name;
+        let (mut likely, mut others): (Vec<_>, Vec<_>) = self
+            .likeliest_at(place, &gains, is_it)
+            .into_iter()
+            .partition(|(effect, _)| is_plain(*effect));
         likely.truncate(PARTNERS);
+        others.truncate(FURTHER_PARTNERS);
+        likely.extend(others);
         Ok(likely.into_iter().map(|(effect, gain)| (effect, gain.start)).collect())
     }
 }

@@ -9,7 +9,7 @@ use host_sim::effects::Place;
 use crate::Error;
 use crate::fitting::fit::Effort;
 use crate::fitting::knobs::EffectRef;
-use crate::fitting::model::Term;
+use crate::fitting::model::{Model, Term, start_terms};
 use crate::search::screen::Gain;
 use crate::search::select::{CLOSED, MOSTLY_OPEN, Search, WORTH_OF_FIRST};
 use crate::search::worth::WORTH_ABSOLUTE;
@@ -56,12 +56,23 @@ impl Search<'_> {
             }
             let mut likely = self.likeliest_at(place, gains, |_, gain| gain.gain > WORTH_ABSOLUTE);
             likely.truncate(OF_EACH_AXIS);
-            likely.retain(|(effect, _)| !self.is_tried(&[effect.info().name]));
+            let name = |effect: EffectRef| effect.info().name;
+            let is_it = |m: &&Model, effect: EffectRef| m.key() == [name(effect)];
+            likely.retain(|&(effect, _)| {
+                let mut alone = self.tried.iter().filter(|m| is_it(m, effect));
+                !alone.any(|m| m.terms[0].places.contains(&place))
+            });
             for (effect, gain) in likely {
                 let start = self.tuned((&[], &self.base), effect, &[place], vec![gain.start])?;
-                let term = Term { effect, places: vec![place] };
+                // What was fitted on another axis stays there: two axes that have it tell what the third one has.
+                let known = self.tried.iter().find(|m| is_it(m, effect)).map(start_terms);
+                let known = known.and_then(|terms| terms.into_iter().next());
+                let (mut places, mut values) =
+                    known.map_or_else(Default::default, |(term, values)| (term.places, values));
+                places.push(place);
+                values.extend(start.concat());
                 let effort = Effort { tolerance: 2.0e-2, ..self.effort() };
-                let model = self.fit_model(vec![term], start.concat(), effort)?;
+                let model = self.fit_model(vec![Term { effect, places }], values, effort)?;
                 self.remember(model);
             }
         }
