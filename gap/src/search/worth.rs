@@ -11,7 +11,7 @@ pub(crate) const WORTH_OF_LEFTOVER: f64 = 0.35;
 /// ... and this share of the whole gap (whitened).
 pub(crate) const WORTH_OF_GAP: f64 = 0.01;
 /// ... or nearly all of what is left, if it is less than that.
-const NEARLY_ALL: f64 = 0.7;
+const NEARLY_ALL: f64 = 0.8;
 /// ... or this share of what is left on an axis,
 const CLOSES_AXIS: f64 = 0.9;
 /// where that is more than this multiple of the noise energy.
