@@ -77,12 +77,12 @@ impl Scene {
             channel.memory = rows[channel.track].next().unwrap_or_default();
             channel.orthonormalise();
         }
-        Ok(())
+        if self.comes_back { self.set_aside_creep(rig) } else { Ok(()) }
     }
 
     /// Set aside, beside that, what a stack that creeps may yet come back from in the first recording: nobody knows what was done to it before
     /// the session. `rig` is the nominal one.
-    pub(crate) fn set_aside_creep(&mut self, rig: &Rig) -> Result<(), Error> {
+    fn set_aside_creep(&mut self, rig: &Rig) -> Result<(), Error> {
         let mut creeping = rig.clone();
         for axis in 0..rig.axes.len() {
             let set = creeping.set(CREEP, Place::Axis(axis), "per_decade", CREEPS);

@@ -99,7 +99,8 @@ pub(crate) fn tell(
     };
     let ((in_order, creeps), (file_by_file, _)) = (left(true)?, left(false)?);
     scene.runs_on = in_order <= file_by_file;
-    if scene.runs_on && creeps { scene.set_aside_creep(rig) } else { Ok(()) }
+    scene.comes_back = scene.runs_on && creeps;
+    if scene.comes_back { scene.set_aside_memory(rig) } else { Ok(()) }
 }
 
 /// Volt-seconds of the transducer from the start of a track to each of its samples.
