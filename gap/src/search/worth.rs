@@ -73,6 +73,11 @@ impl Search<'_> {
             })
     }
 
+    /// Whether a model leaves an axis open by more than its noise, however little that weighs: slow motion hardly does.
+    pub(crate) fn is_clearly_open(&self, model: &Model) -> bool {
+        accept::gaps(self.scene, &model.fit.stack).iter().any(|gap| gap.ratio > CLEARLY)
+    }
+
     /// Cost that one more effect must remove where `leftover` is left.
     pub(crate) fn worth_of_further(&self, leftover: f64) -> f64 {
         let fair = (WORTH_OF_LEFTOVER * leftover).max(WORTH_OF_GAP * self.gap);
