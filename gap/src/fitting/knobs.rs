@@ -214,8 +214,7 @@ pub fn places(effect: EffectRef, axes: usize) -> Vec<Place> {
 }
 
 /// Parameters that only tell varieties of an effect apart.
-const VARIETIES: [(&str, &str); 6] = [
-    ("amplifier-clipping", "ahead"),
+const VARIETIES: [(&str, &str); 5] = [
     ("piezo-gain", "polarisation"),
     ("amplifier-bandwidth", "further_pole"),
     ("viscoelasticity", "spread_decades"),
