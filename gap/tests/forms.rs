@@ -211,12 +211,15 @@ fn relaxation_in_every_decade_is_viscoelasticity() {
     assert_explained(&diagnosis, &[("viscoelasticity", &[2][..])]);
 }
 
-/// Elements that give way come near to it where they were fitted, and to nothing of it elsewhere.
+/// Elements that give way come near to the first where they were fitted, and to nothing of it elsewhere; pairs of a plain loop and what makes up
+/// for its law used up what a search may spend on the second.
 #[test]
 fn loops_of_bouc_and_wen_on_all_axes_are_loops() {
-    let diagnosis = drawn_in_a_further_form_of_the_paper(5150, 4, "hysteresis-shape");
-    assert_explained(&diagnosis, &[("hysteresis-shape", &[1, 2, 3][..])]);
-    assert!(diagnosis.gap.closed > 0.99, "{}", diagnosis.gap.closed);
+    for case in [4, 6] {
+        let diagnosis = drawn_in_a_further_form_of_the_paper(5150, case, "hysteresis-shape");
+        assert_explained(&diagnosis, &[("hysteresis-shape", &[1, 2, 3][..])]);
+        assert!(diagnosis.gap.closed > 0.99, "case {case}: {}", diagnosis.gap.closed);
+    }
 }
 
 #[test]

@@ -3,8 +3,8 @@
 //! Stages are built alike, and what creeps or lags on two axes does so on the third. Where that one has a plain error of its own as well, the
 //! common effect by itself accounts for little of it and is not gone on from: one that bends to both does better. So where an effect alone
 //! accounts for every other axis, it is fitted to that one too, from where it stands there, beside each of the plain effects that the rest
-//! asks for, and others where none of these will do. And where the best model has different effects on different axes, what it has elsewhere is fitted beside its own effects of each
-//! axis that it leaves open. What this comes to is for [`crate::search::compose`] to take up.
+//! asks for, and others where none of these will do. And where the best model has different effects on different axes, what it has elsewhere
+//! is fitted beside its own effects of each axis that it leaves open. What this comes to is for [`crate::search::compose`] to take up.
 
 use host_sim::effects::Place;
 
@@ -41,7 +41,7 @@ const PARTNERS: usize = 3;
 const FURTHER_PARTNERS: usize = 2;
 
 impl Search<'_> {
-    /// Fit what other axes have, and a plain effect beside it, on each axis that asks for more.
+    /// Fit what other axes have, and another effect beside it, on each axis that asks for more.
     pub(crate) fn beside_what_others_have(&mut self) -> Result<(), Error> {
         // Where gauges read several axes no residual is of one of them.
         if self.nominal.output_map.is_some() {

@@ -165,6 +165,12 @@ pub fn drawn_of_the_paper(seed: u64, index: u64, of: &[&str]) -> Diagnosis {
     diagnosed_case((seed, index), &Draw::default(), of, &[])
 }
 
+/// Two of these effects on the paper's rig.
+pub fn drawn_pair_of_the_paper(seed: u64, index: u64, among: &[&str], of: &[&str]) -> Diagnosis {
+    let weights = [0.0, 0.0, 1.0, 0.0];
+    diagnosed_case((seed, index), &Draw { weights, only: owned(among), ..Draw::default() }, of, &[])
+}
+
 fn diagnosed_case(
     (seed, index): (u64, u64),
     draw: &Draw,
