@@ -165,8 +165,7 @@ fn two_gains_on_two_axes_are_no_gauges_that_warmed_up_before() {
 }
 
 #[test]
-fn creep_on_all_axes_is_found_beside_a_gauge_that_bends() {
-    // By itself creep runs into a corner on the axis of that gauge, and relaxation beside a lost preload leaves less.
+fn creep_on_all_axes_is_found_beside_what_one_of_them_has() {
     let among = [
         "hysteresis-shape",
         "friction",
@@ -177,7 +176,10 @@ fn creep_on_all_axes_is_found_beside_a_gauge_that_bends() {
         "stiffness-hardening",
         "sensor-nonlinearity",
     ];
-    let of = ["creep", "sensor-nonlinearity"];
-    let diagnosis = drawn_pair_of_the_paper(61616, 16, &among, &of);
-    assert_explained(&diagnosis, &[(of[0], &[1, 2, 3][..]), (of[1], &[3][..])]);
+    // Relaxation that takes in the gain as well leaves little more, as the stacks come back from something before the session. By itself creep
+    // runs into a corner on the axis of a gauge that bends, and relaxation beside a lost preload leaves less.
+    for (case, other, axis) in [(15, "piezo-gain", 2), (16, "sensor-nonlinearity", 3)] {
+        let diagnosis = drawn_pair_of_the_paper(61616, case, &among, &["creep", other]);
+        assert_explained(&diagnosis, &[("creep", &[1, 2, 3][..]), (other, &[axis][..])]);
+    }
 }

@@ -17,6 +17,8 @@ use crate::session::spectra::{SLOWEST_HUM_HZ, has_harmonic, lines, push_apart, r
 
 /// Periods of a gauge's ripple at which a fit begins, as shares of the travel.
 const RIPPLES: [f64; 4] = [0.3, 0.5, 0.8, 1.3];
+/// Current from which slip limits grow, as a share of the largest one, where those of the slowest loops have grown as well.
+const FAR_BELOW: f64 = 1.0e-5;
 
 /// What the session offers to look at.
 #[derive(Debug, Clone)]
@@ -317,7 +319,11 @@ pub fn settings(effect: EffectRef, ranges: &Ranges) -> Vec<Vec<f64>> {
         }
         "hysteresis-rate" => {
             let resistance = ("resistance_ohm", typical("resistance_ohm"));
-            wanted.push(with(&[("per_decade", typical("per_decade"))]));
+            let growth = ("per_decade", typical("per_decade"));
+            wanted.push(with(&[growth]));
+            // Where it began far below what creeps, the slowest loops have grown as well.
+            let far_below = ("reference_a", FAR_BELOW * ranges.current_a);
+            wanted.push(with(&[growth, far_below, ("stiffening", 0.0)]));
             wanted.push(with(&[resistance]));
             wanted.push(with(&[resistance, ("loss_exponent", 0.4)]));
             let strain_loss = ("strain_loss_v", typical("strain_loss_v"));

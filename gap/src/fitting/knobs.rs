@@ -214,7 +214,8 @@ pub fn places(effect: EffectRef, axes: usize) -> Vec<Place> {
 }
 
 /// Parameters that only tell varieties of an effect apart.
-const VARIETIES: [(&str, &str); 5] = [
+const VARIETIES: [(&str, &str); 6] = [
+    ("amplifier-clipping", "ahead"),
     ("piezo-gain", "polarisation"),
     ("amplifier-bandwidth", "further_pole"),
     ("viscoelasticity", "spread_decades"),

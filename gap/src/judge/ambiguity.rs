@@ -94,13 +94,14 @@ fn standing(search: &Search, model: &Model, term: usize) -> Standing {
             rivals.push((behind, instead.name(), rival.clone()));
         }
     }
-    // Among those that noise alone ranks, or a hundredth of what all of them leave, what the cause is known to be confused with comes first.
+    // Among those that noise alone ranks, or a hundredth of what all of them leave, what the cause is known to be confused with comes first, and
+    // the plainer of these: a drift that is over before anything counts is an offset with five numbers more.
     let level = NOISE_MARGIN + LEVEL * left;
     let alike = model.terms[term].effect.info().confused_with;
-    let rank = |(behind, name, _): &(f64, &str, Model)| match *behind {
-        behind if behind < -level => 0,
-        behind if behind < level => 1 + u8::from(!alike.contains(name)),
-        _ => 3,
+    let rank = |(behind, name, rival): &(f64, &str, Model)| match *behind {
+        behind if behind < -level => (0, 0),
+        behind if behind < level => (1 + u8::from(!alike.contains(name)), rival.numbers()),
+        _ => (3, 0),
     };
     rivals.sort_by(|a, b| rank(a).cmp(&rank(b)).then(a.0.total_cmp(&b.0)));
     rivals.truncate(MOST_RIVALS);

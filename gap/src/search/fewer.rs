@@ -22,10 +22,10 @@ const AS_GOOD: f64 = 0.5;
 const MUCH: f64 = 0.5;
 /// Effects that a variety of another one takes in, the parameter that tells the variety, and where fits of it begin, as multiples: of the
 /// parameter itself, or of the farthest travel. A spring that runs from axis to axis, or is that of a base under both, is a stiffness as well; a
-/// bridge that is right in the middle of the travel is a gain as well.
+/// bridge that is right in the middle of the travel, or at its beginning alone, is a gain as well.
 const TAKEN_IN: [(&str, (&str, &str), &[f64]); 2] = [
     ("stiffness", ("stiffness-coupling", "own"), &[-1.0, 1.0]),
-    ("sensor-gain", ("sensor-nonlinearity", "zero_m"), &[0.5]),
+    ("sensor-gain", ("sensor-nonlinearity", "zero_m"), &[0.5, 0.0]),
 ];
 /// Most models that are looked at.
 const MOST_LOOKED_AT: usize = 3;

@@ -196,11 +196,10 @@ impl<'a> Search<'a> {
             let Some(candidate) = candidate else { break };
             let left = candidate.fit.cost - self.noise;
             let is_closed = accept::is_clean(self.scene, &candidate.fit.stack);
+            let weighs_nothing = left < WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap);
+            let is_done = is_closed || weighs_nothing && !self.is_clearly_open(&candidate);
             best = Some(candidate);
-            if size == MOST_EFFECTS
-                || is_closed
-                || left < WORTH_ABSOLUTE.max(0.1 * WORTH_OF_GAP * self.gap)
-            {
+            if size == MOST_EFFECTS || is_done {
                 break;
             }
             let two = best.clone().filter(|best| best.terms.len() == 2);

@@ -11,7 +11,7 @@ pub(crate) const WORTH_OF_LEFTOVER: f64 = 0.35;
 /// ... and this share of the whole gap (whitened).
 pub(crate) const WORTH_OF_GAP: f64 = 0.01;
 /// ... or nearly all of what is left, if it is less than that.
-const NEARLY_ALL: f64 = 0.7;
+const NEARLY_ALL: f64 = 0.8;
 /// ... or this share of what is left on an axis,
 const CLOSES_AXIS: f64 = 0.9;
 /// where that is more than this multiple of the noise energy.
@@ -71,6 +71,11 @@ impl Search<'_> {
                     && after.ratio < (1.0 - CLOSES_AXIS) * before.ratio
                     && is_of_one_law(axis)
             })
+    }
+
+    /// Whether a model leaves an axis open by more than its noise, however little that weighs: slow motion hardly does.
+    pub(crate) fn is_clearly_open(&self, model: &Model) -> bool {
+        accept::gaps(self.scene, &model.fit.stack).iter().any(|gap| gap.ratio > CLEARLY)
     }
 
     /// Cost that one more effect must remove where `leftover` is left.

@@ -4,12 +4,14 @@
 use std::ops::Range;
 
 use host_sim::rig::Rig;
-use host_sim::{Axes, Initial, Input, Output, simulate};
+use host_sim::{Axes, Initial, Input, Output, Place, Stretch, simulate};
 use rayon::prelude::*;
 
 use crate::Error;
+use crate::session::channel::Channel;
 use crate::session::floor::Kind;
 use crate::session::intake::Track;
+use crate::session::past::CREEP;
 use crate::session::scene::Scene;
 
 /// Shortest interruption in which a drive is taken to have turned, s,
@@ -20,6 +22,15 @@ const MOST_INTERRUPTIONS: usize = 4;
 const TURNS: [f64; 6] = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0];
 /// Share of an interruption that a ramp there takes, and one back.
 const RAMP: f64 = 0.4;
+
+/// What a stack is taken to have gone through before the session, where it creeps: held at so much transducer voltage, V, for a time that began
+/// and ended so long ago, s.
+const HELD_V: f64 = 50.0;
+const AGES_S: [f64; 6] = [0.0, 0.3, 3.0, 30.0, 300.0, 3000.0];
+/// How much it creeps, a decade: the size of a direction does not matter.
+const CREEPS: f64 = 0.015;
+/// Multiple of the noise from which another past is seen at all.
+const SEEN: f32 = 0.3;
 
 /// Long interruptions of a recording, by samples, the longest first.
 pub(crate) fn interruptions(track: &Track) -> Vec<Range<usize>> {
@@ -58,39 +69,62 @@ impl Scene {
                         swept.push(self.with_drive(track, &drive, &[], run)?);
                     }
                 }
-                Ok(self
-                    .channels
-                    .iter()
-                    .filter(|c| c.track == track)
-                    .map(|channel| {
-                        if channel.kind == Kind::Monitor {
-                            return Vec::new();
-                        }
-                        let base = self.residual(channel, &virgin);
-                        swept
-                            .iter()
-                            .map(|output| {
-                                self.residual(channel, output)
-                                    .iter()
-                                    .zip(&base)
-                                    .map(|(a, b)| a - b)
-                                    .collect::<Vec<f32>>()
-                            })
-                            .filter(|d: &Vec<f32>| {
-                                d.iter().fold(0.0_f32, |m, x| m.max(x.abs())) > 0.3
-                            })
-                            .collect()
-                    })
-                    .collect())
+                Ok(self.directions(track, &virgin, &swept))
             })
             .collect::<Result<_, Error>>()?;
         let mut rows: Vec<_> = rows.into_iter().map(Vec::into_iter).collect();
         for channel in &mut self.channels {
-            let directions = rows[channel.track].next().unwrap_or_default();
-            channel.memory = directions;
+            channel.memory = rows[channel.track].next().unwrap_or_default();
             channel.orthonormalise();
         }
+        if self.comes_back { self.set_aside_creep(rig) } else { Ok(()) }
+    }
+
+    /// Set aside, beside that, what a stack that creeps may yet come back from in the first recording: nobody knows what was done to it before
+    /// the session. `rig` is the nominal one.
+    fn set_aside_creep(&mut self, rig: &Rig) -> Result<(), Error> {
+        let mut creeping = rig.clone();
+        for axis in 0..rig.axes.len() {
+            let set = creeping.set(CREEP, Place::Axis(axis), "per_decade", CREEPS);
+            set.map_err(|e| Error::Rig(e.to_string()))?;
+        }
+        for track in 0..self.tracks.len() {
+            if !self.tracks[track].past.iter().all(|past| past.is_empty()) {
+                continue;
+            }
+            let rested = self.output(&creeping, track, Axes::All, &[])?;
+            let ages = AGES_S.windows(2).map(|age| {
+                let held = Stretch { lasted_s: age[1] - age[0], transducer_v: HELD_V };
+                let since = Stretch { lasted_s: age[0], transducer_v: 0.0 };
+                let past = Some(vec![held, since].into());
+                let states = vec![Initial { past, ..Initial::default() }; rig.axes.len()];
+                self.output(&creeping, track, Axes::All, &states)
+            });
+            let held: Vec<Output> = ages.collect::<Result<_, _>>()?;
+            let mut rows = self.directions(track, &rested, &held).into_iter();
+            for channel in self.channels.iter_mut().filter(|c| c.track == track) {
+                channel.memory.extend(rows.next().unwrap_or_default());
+                channel.orthonormalise();
+            }
+        }
         Ok(())
+    }
+
+    /// What each channel of a recording would read otherwise if its stacks had another past than that of `base`.
+    fn directions(&self, track: usize, base: &Output, others: &[Output]) -> Vec<Vec<Vec<f32>>> {
+        let of_channel = |channel: &Channel| {
+            if channel.kind == Kind::Monitor {
+                return Vec::new();
+            }
+            let base = self.residual(channel, base);
+            let other = |output| {
+                let residual = self.residual(channel, output);
+                residual.iter().zip(&base).map(|(a, b)| a - b).collect::<Vec<f32>>()
+            };
+            let is_seen = |d: &Vec<f32>| d.iter().fold(0.0_f32, |m, x| m.max(x.abs())) > SEEN;
+            others.iter().map(other).filter(is_seen).collect()
+        };
+        self.channels.iter().filter(|c| c.track == track).map(of_channel).collect()
     }
 
     /// What the stacks remember after a slow excursion from 0 V to `turn_v` and on to where a recording starts.

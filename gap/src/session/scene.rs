@@ -44,6 +44,8 @@ pub struct Scene {
     pub monitor_noise: Vec<Option<Noise>>,
     /// Slow strains of one recording are still there in the next.
     pub runs_on: bool,
+    /// Stacks come back from strains of before the session in its first recording, which is set aside.
+    pub comes_back: bool,
     /// Motions that may be asked for again.
     pub(crate) motions: Arc<Motions>,
     /// What was simulated.
@@ -99,6 +101,7 @@ impl Scene {
             position_noise,
             monitor_noise,
             runs_on: true,
+            comes_back: false,
             motions: Arc::new(Motions::new(samples)),
             work: Arc::new(Work::new(samples)),
         }

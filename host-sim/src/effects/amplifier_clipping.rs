@@ -25,7 +25,7 @@ static INFO: Info = Info {
               before it, where the lag is that of an output stage which charges the stack, what the output tends to.",
     source: "rails -10 and 150 V of the ENV 400, clamp at -10 V (notes/physics.md, sections 1 and 4)",
     revealed_by: "large triangles; the monitor",
-    confused_with: &["amplifier-current-limit", "preload-loss", "sensor-nonlinearity", "stiffness-hardening"],
+    confused_with: &["amplifier-current-limit", "preload-loss", "sensor-nonlinearity", "stiffness-hardening", "sensor-offset"],
 };
 
 #[derive(Clone, Copy)]
