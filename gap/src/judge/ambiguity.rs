@@ -94,13 +94,15 @@ fn standing(search: &Search, model: &Model, term: usize) -> Standing {
             rivals.push((behind, instead.name(), rival.clone()));
         }
     }
-    // Among those that noise alone ranks, or a hundredth of what all of them leave, what the cause is known to be confused with comes first, and
-    // the plainer of these: a drift that is over before anything counts is an offset with five numbers more.
+    // Among those that noise alone ranks, or a hundredth of what all of them leave, what the cause is known to be confused with comes first, in
+    // that order: a drift that is over before anything counts is an offset, but the last that one thinks of.
     let level = NOISE_MARGIN + LEVEL * left;
     let alike = model.terms[term].effect.info().confused_with;
-    let rank = |(behind, name, rival): &(f64, &str, Model)| match *behind {
+    let rank = |(behind, name, _): &(f64, &str, Model)| match *behind {
         behind if behind < -level => (0, 0),
-        behind if behind < level => (1 + u8::from(!alike.contains(name)), rival.numbers()),
+        behind if behind < level => {
+            alike.iter().position(|known| known == name).map_or((2, 0), |nth| (1, nth))
+        }
         _ => (3, 0),
     };
     rivals.sort_by(|a, b| rank(a).cmp(&rank(b)).then(a.0.total_cmp(&b.0)));

@@ -16,6 +16,7 @@ use crate::fitting::model::{Model, Term, join_terms, knobs_from, knobs_of, start
 use crate::judge::accept::{self, AxisGapSize};
 use crate::judge::ambiguity::{self, Standings};
 use crate::judge::monitors::{self, Missing};
+use crate::search::elsewhere::{carries_over, stands_elsewhere};
 use crate::search::hidden::Hidden;
 use crate::search::last_axis::is_as_elsewhere;
 use crate::search::select::{Breadth, Search};
@@ -50,7 +51,7 @@ impl Found {
 }
 
 /// Effects of a model that go without a period.
-fn wandering(model: &Model) -> Vec<&'static str> {
+pub(crate) fn wandering(model: &Model) -> Vec<&'static str> {
     let terms = start_terms(model);
     let names = terms.iter().filter(|(term, values)| wanders(term, values));
     names.map(|(term, _)| term.name()).collect()
@@ -72,6 +73,7 @@ pub(crate) fn search(
     bar.set_message("fitting");
     let whole = search.run()?;
     let Some(model) = by_axis(&mut search, whole, effects, gaps)? else { return Ok(None) };
+    let model = carries_over(&search, model)?;
     let model = without_specks(&search, stands_elsewhere(&search, model)?)?;
     let (model, hidden) = search.also_on_last_axis(model)?;
     let gap = search.gap.max(1.0);
@@ -88,43 +90,6 @@ pub(crate) fn search(
     let missed = missed(scene, rig, &model)?;
     let whole = refit(scene, rig, &model)?;
     Ok(Some(Found { model, whole, standings, tried, missed, band: None, hidden }))
-}
-
-/// Take out effects that make the held-out recordings worse: they only mended the form of another one where it was fitted.
-fn stands_elsewhere(search: &Search, model: Model) -> Result<Model, Error> {
-    /// Rise of the held-out cost that is no accident, in noise variances,
-    const WORSE: f64 = 30.0;
-    /// and as a share of what the effect takes off where it was fitted. A limit that one recording of steps reaches by far does next to
-    /// nothing in others, and its form shows there.
-    const WORSE_OF_TAKEN: f64 = 0.02;
-    let held = |c: &Channel| c.held_out;
-    let mut model = model;
-    while model.terms.len() > 1 {
-        let mut rigs = vec![model.fit.rig.clone()];
-        for t in 0..model.terms.len() {
-            rigs.push(model.without(search.nominal, t, |_| true)?);
-        }
-        let jobs: Vec<(&Rig, Wanted)> = rigs.iter().map(|r| (r, Wanted::ALL)).collect();
-        let costs: Vec<f64> = search.scene.residuals(&jobs, held)?.iter().map(cost).collect();
-        let mut worst: Option<usize> = None;
-        for t in (0..model.terms.len()).filter(|t| costs[t + 1] < costs[0] - WORSE) {
-            let without = search.scene.residuals_at(&rigs[t + 1], Wanted::ALL, search.include)?;
-            let taken = cost(&without) - model.fit.cost;
-            let is_worst = worst.is_none_or(|worst| costs[t + 1] < costs[worst + 1]);
-            if is_worst && costs[0] - costs[t + 1] > WORSE_OF_TAKEN * taken {
-                worst = Some(t);
-            }
-        }
-        let Some(t) = worst else { break };
-        let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(&model)
-            .into_iter()
-            .enumerate()
-            .filter(|(k, _)| *k != t)
-            .map(|(_, term)| term)
-            .unzip();
-        model = search.fit_model(terms, start.concat(), search.effort())?;
-    }
-    Ok(model)
 }
 
 /// Take out effects that by themselves move no position by what would count as a gap in any recording: what they save is a matter of another

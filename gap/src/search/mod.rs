@@ -10,13 +10,14 @@
 //! | other effects in the place of those chosen, fewer, none where they do nothing | `swap`, `trade`, `fewer`, `prune` |
 //! | loops of any law | `loops`, `laws`, `loop_beside` |
 //! | what all axes have alike | `beside_alike`, `last_axis`, `hidden` |
-//! | the whole of it, checked on recordings held out | `found` |
+//! | the whole of it, checked on recordings held out | `found`, `elsewhere` |
 
 mod alike;
 mod beside_alike;
 mod compose;
 mod direction;
 mod each_axis;
+mod elsewhere;
 mod few;
 mod fewer;
 pub(crate) mod found;

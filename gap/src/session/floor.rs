@@ -53,7 +53,7 @@ const OF_FIRST: f64 = 0.87;
 const OF_FOURTH: f64 = 1.15;
 const OF_SAMPLES: f64 = 0.71;
 /// Multiple of their standard errors within which two levels agree.
-const AGREES: f64 = 2.0;
+const AGREES: f64 = 3.0;
 
 /// A level of white noise.
 #[derive(Debug, Clone, Copy)]

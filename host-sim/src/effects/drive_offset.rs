@@ -25,7 +25,7 @@ static INFO: Info = Info {
               first rise; once settled it is little more than a shift of the position.",
     source: "offset of amplifier and 12-bit DAC, tens of mV to 1 V at the output (notes/physics.md, section 1)",
     revealed_by: "the monitor; without it only the bias dependence of hysteresis",
-    confused_with: &["sensor-offset", "sensor-drift", "amplifier-clipping"],
+    confused_with: &["sensor-offset", "preload-loss", "amplifier-clipping", "sensor-drift"],
 };
 
 impl Effect for DriveOffset {

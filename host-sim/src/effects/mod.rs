@@ -45,7 +45,7 @@ pub struct Info {
     pub source: &'static str,
     /// Excitation that reveals it.
     pub revealed_by: &'static str,
-    /// Effects that it is easily confused with.
+    /// Effects that it is easily confused with, the likeliest first.
     pub confused_with: &'static [&'static str],
 }
 

@@ -24,7 +24,7 @@ static INFO: Info = Info {
               stack and mechanism opens at small force. F(0) = 0, or with since_zero 1 F as before while closed. The kink stands at one displacement.",
     source: "preload and contact compliance: frame against stack 0.53 um/K (notes/physics.md, section 4)",
     revealed_by: "large slow triangles from the lowest voltage up",
-    confused_with: &["stiffness-hardening", "amplifier-clipping", "sensor-nonlinearity", "hysteresis-shape"],
+    confused_with: &["stiffness-hardening", "amplifier-clipping", "sensor-nonlinearity", "hysteresis-shape", "sensor-offset", "drive-offset"],
 };
 
 struct OpenContact {

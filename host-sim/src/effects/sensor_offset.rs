@@ -24,7 +24,7 @@ static INFO: Info = Info {
     physics: "y = x + offset: bridge balance and conditioner zero.",
     source: "bridge balance of strain gauges; stack expansion -70 nm/K (notes/physics.md, section 4)",
     revealed_by: "rest; any recording whose memory is known",
-    confused_with: &["drive-offset", "sensor-drift", "preload-loss", "amplifier-clipping"],
+    confused_with: &["drive-offset", "preload-loss", "amplifier-clipping", "sensor-drift"],
 };
 
 impl Effect for SensorOffset {
