@@ -5,7 +5,7 @@ use host_sim::rig::Rig;
 use nalgebra::{DMatrix, DVector};
 
 use crate::Error;
-use crate::fitting::fit::{Sensitivities, from_step, rig_with, to_step};
+use crate::fitting::fit::{Sensitivities, free_step, from_step, rig_with, to_step};
 use crate::fitting::knobs::Knob;
 use crate::session::scene::{Channel, Scene, Stack, Wanted, dot};
 
@@ -258,28 +258,96 @@ fn step(
     if free.is_empty() {
         return None;
     }
-    let mut damped = DMatrix::zeros(free.len(), free.len());
-    let mut rhs = DVector::zeros(free.len());
-    for (i, &a) in free.iter().enumerate() {
-        rhs[i] = -gradient[a];
-        for (j, &b) in free.iter().enumerate() {
-            damped[(i, j)] = matrix[(a, b)];
+    let coordinates: Vec<f64> = knobs.iter().zip(values).map(|(k, v)| to_step(k, *v)).collect();
+    let delta = within_ranges(knobs, &coordinates, free, matrix, gradient, lambda)?;
+    let moved = |k: usize| {
+        if delta[k] == 0.0 {
+            return values[k];
         }
-        damped[(i, i)] *= 1.0 + lambda[a];
-        damped[(i, i)] += 1.0e-9;
-    }
-    let delta = damped.cholesky()?.solve(&rhs);
-    let mut moved = values.to_vec();
-    for (i, &k) in free.iter().enumerate() {
-        let coordinate = to_step(&knobs[k], values[k]);
         // A log step beyond a factor of e^1.5 or four natural sizes leaves the region where the slope means anything.
         let limit = match (knobs[k].fixed_step, knobs[k].log) {
             (Some(_), false) => 20.0,
             (Some(step), true) => 20.0 * step,
             (None, true) => 1.5,
-            (None, false) => 4.0 * coordinate.abs().max(1.0),
+            (None, false) => 4.0 * coordinates[k].abs().max(1.0),
         };
-        moved[k] = from_step(&knobs[k], coordinate + delta[i].clamp(-limit, limit));
+        from_step(&knobs[k], coordinates[k] + delta[k].clamp(-limit, limit))
+    };
+    Some((0..knobs.len()).map(moved).collect())
+}
+
+/// Step of all knobs of which those that are `free` take part. One that would leave its range goes to the end of it, and the others make up for
+/// that: without that two knobs that do nearly the same stand still where one of them is at its end.
+fn within_ranges(
+    knobs: &[Knob],
+    coordinates: &[f64],
+    mut free: Vec<usize>,
+    matrix: &DMatrix<f64>,
+    gradient: &DVector<f64>,
+    lambda: &[f64],
+) -> Option<Vec<f64>> {
+    let mut delta = vec![0.0; knobs.len()];
+    while !free.is_empty() {
+        let mut damped = DMatrix::zeros(free.len(), free.len());
+        let mut rhs = DVector::zeros(free.len());
+        for (i, &a) in free.iter().enumerate() {
+            let ended = delta.iter().enumerate().filter(|(k, _)| !free.contains(k));
+            rhs[i] = -gradient[a] - ended.map(|(k, delta)| matrix[(a, k)] * delta).sum::<f64>();
+            for (j, &b) in free.iter().enumerate() {
+                damped[(i, j)] = matrix[(a, b)];
+            }
+            damped[(i, i)] *= 1.0 + lambda[a];
+            damped[(i, i)] += 1.0e-9;
+        }
+        let solved = damped.cholesky()?.solve(&rhs);
+        free.iter().zip(solved.iter()).for_each(|(&k, &solved)| delta[k] = solved);
+        let within = |k: usize, delta: f64| {
+            let reached = from_step(&knobs[k], coordinates[k] + delta);
+            (reached != free_step(&knobs[k], coordinates[k] + delta))
+                .then(|| to_step(&knobs[k], reached) - coordinates[k])
+        };
+        let before = free.len();
+        free.retain(|&k| match within(k, delta[k]) {
+            Some(end) => {
+                delta[k] = end;
+                false
+            }
+            None => true,
+        });
+        if free.len() == before {
+            break;
+        }
     }
-    Some(moved)
+    Some(delta)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fitting::knobs::Target;
+
+    fn knob(min: f64) -> Knob {
+        let target = Target::Nominal {
+            axis: 0,
+            write: |_, _, _, _| {},
+            element: 0,
+            own_gauge: true,
+            monitors: false,
+            name: "",
+            unit: "1",
+        };
+        let (max, origin, scale) = (10.0, 0.0, 1.0);
+        Knob { target, min, max, origin, scale, log: false, fixed_step: None, prior: None }
+    }
+
+    /// The first one is at its end, would gain by going inwards and is pushed outwards by the second one, which does nearly the same.
+    #[test]
+    fn a_step_goes_to_the_least_within_the_ranges() {
+        let knobs = [knob(0.0), knob(-10.0)];
+        let matrix = DMatrix::from_row_slice(2, 2, &[1.0, 0.9, 0.9, 1.0]);
+        let gradient = DVector::from_row_slice(&[-0.1, -1.0]);
+        let moved = step(&knobs, &[0.0, 1.0], &matrix, &gradient, &[0.0; 2]).expect("a step");
+        assert_eq!(moved[0], 0.0);
+        assert!((moved[1] - 2.0).abs() < 1.0e-6, "{moved:?}");
+    }
 }

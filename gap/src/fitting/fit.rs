@@ -2,7 +2,7 @@
 //!
 //! The normal equations are summed channel by channel, so that no Jacobian of millions of rows is ever stored, and knobs whose
 //! channels do not overlap share one simulation per finite difference: three axes cost as much as one. That is why the dense solver of the
-//! `levenberg-marquardt` crate (one column a knob, one simulation a column) is not used here. Marquardt 1963; bounds by projection.
+//! `levenberg-marquardt` crate (one column a knob, one simulation a column) is not used here. Marquardt 1963; bounds by active sets.
 
 use host_sim::rig::Rig;
 use nalgebra::{DMatrix, DVector};
@@ -92,7 +92,7 @@ pub(crate) fn to_step(knob: &Knob, value: f64) -> f64 {
     if knob.log { (value / knob.scale).ln() } else { (value - knob.origin) / knob.scale }
 }
 
-fn free_step(knob: &Knob, coordinate: f64) -> f64 {
+pub(crate) fn free_step(knob: &Knob, coordinate: f64) -> f64 {
     if knob.log { knob.scale * coordinate.exp() } else { knob.origin + knob.scale * coordinate }
 }
 

@@ -3,9 +3,11 @@
 use host_sim::rig::Rig;
 
 use crate::Error;
-use crate::fitting::fit::cost;
-use crate::fitting::model::{Model, Term, start_terms};
+use crate::fitting::fit::{Sensitivities, cost, rig_with};
+use crate::fitting::knobs::EffectRef;
+use crate::fitting::model::{Model, Term, knobs_from, start_terms};
 use crate::search::found::wandering;
+use crate::search::screen::Gain;
 use crate::search::select::Search;
 use crate::search::worth::WORTH_OF_GAP;
 use crate::session::energy::Energies;
@@ -15,51 +17,110 @@ fn held(channel: &Channel) -> bool {
     channel.held_out
 }
 
+/// Effects of slow strain, each of which nearly accounts for the other.
+const SLOW: [&str; 2] = ["creep", "viscoelasticity"];
+
+/// Energy beyond the noise that is open in the recordings held out, as a share of that of the noise,
+const OPEN: f64 = 0.5;
+/// and what another model may leave of it at most.
+const FAR_LESS: f64 = 0.3;
+/// Most models that are looked at.
+const MOST: usize = 8;
+
 /// `model`, or what leaves far less of the recordings held out, of those models that have no more effects and are about as good where they were
-/// fitted. Slow motion hardly weighs in a fit, as gauges wander; relaxation and creep that nearly account for each other differ by nothing else.
-pub(super) fn carries_over(search: &Search, model: Model) -> Result<Model, Error> {
-    /// Energy beyond the noise that is open in the recordings held out, as a share of that of the noise,
-    const OPEN: f64 = 0.5;
-    /// and what another model may leave of it at most.
-    const FAR_LESS: f64 = 0.3;
-    /// Most models that are looked at.
-    const MOST: usize = 8;
+/// fitted. Slow motion hardly weighs in a fit, as gauges wander; relaxation and creep that nearly account for each other differ by nothing else, so
+/// that the other one is tried where none was that carries over.
+pub(super) fn carries_over(search: &mut Search, model: Model) -> Result<Model, Error> {
     let before = search.scene.raw(search.nominal, held)?;
-    let open = |model: &Model| -> Result<f64, Error> {
+    let open = |search: &Search, model: &Model| -> Result<f64, Error> {
         let after = search.scene.raw(&model.fit.rig, held)?;
         let gap =
             Energies::new(search.scene, &before, &after, &held).gap(search.nominal.axes.len());
         Ok((gap.after_nm / gap.floor_nm).powi(2) - 1.0)
     };
-    let left = open(&model)?;
+    let left = open(search, &model)?;
     if left < OPEN || !wandering(&model).is_empty() {
         return Ok(model);
     }
+    let mut best = best_elsewhere(search, &model, |other| {
+        Ok(Some(open(search, other)?).filter(|by_it| *by_it < FAR_LESS * left))
+    })?;
+    if best.is_none() && !search.is_spent() {
+        for other in slow_instead(search, &model)? {
+            let other = search.prune(other)?;
+            if is_as_good(search, &other, &model) && open(search, &other)? < FAR_LESS * left {
+                best = Some(other);
+                break;
+            }
+        }
+    }
+    let Some(best) = best else { return Ok(model) };
+    let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(&best).into_iter().unzip();
+    search.fit_model(terms, start.concat(), search.effort())
+}
+
+/// Whether a model is about as good as another one where both were fitted.
+fn is_as_good(search: &Search, other: &Model, model: &Model) -> bool {
+    other.fit.cost < model.fit.cost + WORTH_OF_GAP * search.gap
+}
+
+/// Of the models that were tried, are about as good as `model` and have no more effects: the one of fewest, and among these the one that leaves
+/// least elsewhere, of those that leave little enough.
+fn best_elsewhere(
+    search: &Search,
+    model: &Model,
+    leaves_little: impl Fn(&Model) -> Result<Option<f64>, Error>,
+) -> Result<Option<Model>, Error> {
     let mut known = vec![model.key()];
     let mut best: Option<((usize, f64), &Model)> = None;
     for other in &search.tried {
         let key = other.key();
-        let as_good = other.fit.cost < model.fit.cost + WORTH_OF_GAP * search.gap;
-        if !as_good || known.len() > MOST {
+        if !is_as_good(search, other, model) || known.len() > MOST {
             break;
         }
         if key.len() > model.terms.len() || known.contains(&key) || !wandering(other).is_empty() {
             continue;
         }
-        // One effect that carries over comes before two.
-        let rank = (key.len(), open(other)?);
+        let size = key.len();
         known.push(key);
-        if rank.1 < FAR_LESS * left && best.is_none_or(|(least, _)| rank < least) {
-            best = Some((rank, other));
+        let Some(left) = leaves_little(other)? else { continue };
+        if best.is_none_or(|(least, _)| (size, left) < least) {
+            best = Some(((size, left), other));
         }
     }
-    match best {
-        Some((_, other)) => {
-            let (terms, start): (Vec<Term>, Vec<Vec<f64>>) = start_terms(other).into_iter().unzip();
-            search.fit_model(terms, start.concat(), search.effort())
-        }
-        None => Ok(model),
+    Ok(best.map(|(_, model)| model.clone()))
+}
+
+/// `model` with creep in the place of relaxation, or the other way round.
+fn slow_instead(search: &mut Search, model: &Model) -> Result<Vec<Model>, Error> {
+    let mut models = Vec::new();
+    for t in 0..model.terms.len() {
+        let name = model.terms[t].name();
+        let Some(instead) = SLOW.into_iter().find(|other| SLOW.contains(&name) && *other != name)
+        else {
+            continue;
+        };
+        let others = model.part(|term, _| term.name() != name && term.name() != instead);
+        let (terms, values): (Vec<Term>, Vec<Vec<f64>>) = others.iter().cloned().unzip();
+        let values = values.concat();
+        let knobs = knobs_from(&terms, &values, &search.ranges);
+        let rig = rig_with(search.nominal, &knobs, &values)?;
+        let stack = search.scene.residuals_at(&rig, Wanted::ALL, search.include)?;
+        let (scene, nominal, include) = (search.scene, search.nominal, search.include);
+        let beside = if knobs.is_empty() {
+            None
+        } else {
+            Some(Sensitivities::at(scene, nominal, &knobs, &values, &stack, include)?)
+        };
+        let gains = search.screen.test(scene, &stack, beside.as_ref());
+        let offers = search.shortlist(&gains, &[], usize::MAX);
+        let is_it = |(effect, _): &&(EffectRef, Vec<Gain>)| effect.info().name == instead;
+        let Some((effect, gains)) = offers.iter().find(is_it) else { continue };
+        let fitted = search.fit_terms((&others, &stack), *effect, gains)?;
+        search.remember(fitted.clone());
+        models.push(fitted);
     }
+    Ok(models)
 }
 
 /// Take out effects that make the held-out recordings worse: they only mended the form of another one where it was fitted.

@@ -73,7 +73,7 @@ pub(crate) fn search(
     bar.set_message("fitting");
     let whole = search.run()?;
     let Some(model) = by_axis(&mut search, whole, effects, gaps)? else { return Ok(None) };
-    let model = carries_over(&search, model)?;
+    let model = carries_over(&mut search, model)?;
     let model = without_specks(&search, stands_elsewhere(&search, model)?)?;
     let (model, hidden) = search.also_on_last_axis(model)?;
     let gap = search.gap.max(1.0);

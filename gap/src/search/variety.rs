@@ -89,20 +89,31 @@ const VARIETIES: [Variety; 7] = [
     Variety { effect: "stiffness-coupling", parameter: "own", start: 1.0, leaves: 0.5, ..USUAL },
 ];
 
-/// Effect with laws of several kinds: for each the parameters that are not at their zero, or the default of a shape, where a fit of it begins.
-const BEGINNINGS: [(&str, &[&[&str]]); 2] = [
-    (
-        "hysteresis-rate",
-        &[&["per_decade"], &["resistance_ohm", "loss_exponent"], &["strain_loss_v"]],
-    ),
-    ("sensor-drift", &[&["settling_m"], &["cycle_s"]]),
+/// A law of an effect that has several: parameters that are not at their zero, or the default of a shape, where a fit of it begins, and those that are.
+struct Law {
+    on: &'static [&'static str],
+    off: &'static [&'static str],
+}
+
+/// Limits that grow from a current of the recordings on, and from one far below it.
+const GROWS: Law = Law { on: &["per_decade"], off: &["stiffening"] };
+const GROWS_FROM_FAR_BELOW: Law = Law { on: &["per_decade", "stiffening"], off: &[] };
+const LOSES_IN_SERIES: Law = Law { on: &["resistance_ohm", "loss_exponent"], off: &[] };
+const COMES_LATE: Law = Law { on: &["strain_loss_v"], off: &[] };
+const SETTLES: Law = Law { on: &["settling_m"], off: &[] };
+const SWINGS: Law = Law { on: &["cycle_s"], off: &[] };
+
+/// Effects with laws of several kinds.
+const LAWS: [(&str, &[Law]); 2] = [
+    ("hysteresis-rate", &[GROWS, GROWS_FROM_FAR_BELOW, LOSES_IN_SERIES, COMES_LATE]),
+    ("sensor-drift", &[SETTLES, SWINGS]),
 ];
 /// Share of the gap that a law may leave at most for others to be tried.
 const WORTH_OTHERS: f64 = 0.4;
 
 /// Whether an effect has laws that a fit of one of them does not get to.
 pub(crate) fn has_other_laws(effect: EffectRef) -> bool {
-    BEGINNINGS.iter().any(|(name, _)| *name == effect.info().name)
+    LAWS.iter().any(|(name, _)| *name == effect.info().name)
 }
 
 impl Search<'_> {
@@ -115,7 +126,7 @@ impl Search<'_> {
     ) -> Result<Model, Error> {
         let [term] = model.terms.as_slice() else { return Ok(model) };
         let info = term.effect.info();
-        let Some((_, laws)) = BEGINNINGS.iter().find(|(name, _)| *name == info.name) else {
+        let Some((_, laws)) = LAWS.iter().find(|(name, _)| *name == info.name) else {
             return Ok(model);
         };
         let left = model.fit.cost - self.noise;
@@ -125,9 +136,11 @@ impl Search<'_> {
         {
             return Ok(model);
         }
-        let follows = |law: &[&str], values: &[f64]| {
-            let is_off = |(p, v): (&Parameter, &f64)| law.contains(&p.name) && *v == p.zero;
-            !info.parameters.iter().zip(values).any(is_off)
+        let follows = |law: &Law, values: &[f64]| {
+            let is_at_odds = |(p, v): (&Parameter, &f64)| {
+                if *v == p.zero { law.on.contains(&p.name) } else { law.off.contains(&p.name) }
+            };
+            !info.parameters.iter().zip(values).any(is_at_odds)
         };
         let mut best: Option<Model> = None;
         let width = info.parameters.len();
