@@ -183,3 +183,19 @@ fn creep_on_all_axes_is_found_beside_what_one_of_them_has() {
         assert_explained(&diagnosis, &[("creep", &[1, 2, 3][..]), (other, &[axis][..])]);
     }
 }
+
+/// Relaxation leaves less where it was fitted, by what hardly weighs, and 6 nm more of other recordings.
+#[test]
+fn creep_that_carries_over_stands_before_relaxation_that_does_not() {
+    let two = drawn_of_the_paper(18181, 37, &["creep"]);
+    assert_explained(&two, &[("creep", &[1, 3])]);
+    assert!(two.gap.after_nm < 4.4, "{} nm", two.gap.after_nm);
+}
+
+#[test]
+#[ignore = "long: cargo xtask test --long"]
+fn relaxation_of_one_axis_does_not_hide_creep_on_all() {
+    let diagnosis = drawn_of_the_paper(29112, 40, &["viscoelasticity", "creep"]);
+    assert_eq!(causes(&diagnosis)[0], ("creep", &[1, 2, 3][..]));
+    assert!(diagnosis.gap.after_nm < 4.2, "{} nm", diagnosis.gap.after_nm);
+}
