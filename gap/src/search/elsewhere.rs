@@ -1,11 +1,12 @@
-//! What a search found, checked on the recordings that were not fitted before it is an answer.
+//! What a search found, checked on the recordings that were not fitted before it is an answer. Which of two answers is given may hang on these, the
+//! numbers in it never do: what is promised of them is then no longer blind, and `flexstage blind` measures it on further ones.
 
 use host_sim::rig::Rig;
 
 use crate::Error;
-use crate::fitting::fit::{Sensitivities, cost, rig_with};
+use crate::fitting::fit::cost;
 use crate::fitting::knobs::EffectRef;
-use crate::fitting::model::{Model, Term, knobs_from, start_terms};
+use crate::fitting::model::{Model, Term, start_terms};
 use crate::search::found::wandering;
 use crate::search::screen::Gain;
 use crate::search::select::Search;
@@ -101,18 +102,7 @@ fn slow_instead(search: &mut Search, model: &Model) -> Result<Vec<Model>, Error>
             continue;
         };
         let others = model.part(|term, _| term.name() != name && term.name() != instead);
-        let (terms, values): (Vec<Term>, Vec<Vec<f64>>) = others.iter().cloned().unzip();
-        let values = values.concat();
-        let knobs = knobs_from(&terms, &values, &search.ranges);
-        let rig = rig_with(search.nominal, &knobs, &values)?;
-        let stack = search.scene.residuals_at(&rig, Wanted::ALL, search.include)?;
-        let (scene, nominal, include) = (search.scene, search.nominal, search.include);
-        let beside = if knobs.is_empty() {
-            None
-        } else {
-            Some(Sensitivities::at(scene, nominal, &knobs, &values, &stack, include)?)
-        };
-        let gains = search.screen.test(scene, &stack, beside.as_ref());
+        let (stack, gains) = search.offered_beside(&others)?;
         let offers = search.shortlist(&gains, &[], usize::MAX);
         let is_it = |(effect, _): &&(EffectRef, Vec<Gain>)| effect.info().name == instead;
         let Some((effect, gains)) = offers.iter().find(is_it) else { continue };

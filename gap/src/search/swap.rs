@@ -1,13 +1,14 @@
 //! Others in the place of each effect, and the plainest of those that do as well.
 
 use crate::Error;
-use crate::fitting::fit::{Sensitivities, cost};
+use crate::fitting::fit::{Sensitivities, cost, rig_with};
 use crate::fitting::knobs::{EffectRef, is_plain};
 use crate::fitting::model::{Model, Term, knobs_from, start_terms};
 use crate::judge::ambiguity::NOISE_MARGIN;
+use crate::search::screen::Gain;
 use crate::search::select::Search;
 use crate::search::widen::PROMISE;
-use crate::session::scene::Wanted;
+use crate::session::scene::{Stack, Wanted};
 
 /// A plainer model may leave this much more than the best one, of what that leaves, or of what it saves.
 pub(super) const AS_LITTLE: f64 = 0.1;
@@ -50,14 +51,7 @@ impl Search<'_> {
             }
             let mut others = start_terms(model);
             others.remove(t);
-            let (terms, values): (Vec<Term>, Vec<Vec<f64>>) = others.iter().cloned().unzip();
-            let rig = model.without(self.nominal, t, |_| true)?;
-            let stack = self.scene.residuals_at(&rig, Wanted::ALL, self.include)?;
-            let values = values.concat();
-            let knobs = knobs_from(&terms, &values, &self.ranges);
-            let sensitivities =
-                Sensitivities::at(self.scene, self.nominal, &knobs, &values, &stack, self.include)?;
-            let gains = self.screen.test(self.scene, &stack, Some(&sensitivities));
+            let (stack, gains) = self.offered_beside(&others)?;
             let needed = cost(&stack) - model.fit.cost;
             let mut offers = self.shortlist(&gains, &names, usize::MAX);
             let rest = offers.split_off(offers.len().min(self.breadth.swaps));
@@ -75,7 +69,7 @@ impl Search<'_> {
                 if gains.iter().map(|g| g.gain).sum::<f64>() < PROMISE * needed || self.is_spent() {
                     continue;
                 }
-                let mut key: Vec<&str> = terms.iter().map(Term::name).collect();
+                let mut key: Vec<&str> = others.iter().map(|(term, _)| term.name()).collect();
                 key.push(effect.info().name);
                 key.sort_unstable();
                 if !self.is_tried(&key) || (is_alike(&effect) && self.is_behind(model, &key, t)) {
@@ -85,6 +79,22 @@ impl Search<'_> {
             }
         }
         Ok(())
+    }
+
+    /// What known terms leave where they stand, and what each effect promises to take off that, the terms giving way.
+    pub(super) fn offered_beside(
+        &self,
+        known: &[(Term, Vec<f64>)],
+    ) -> Result<(Stack, Vec<Vec<Gain>>), Error> {
+        let (terms, values): (Vec<Term>, Vec<Vec<f64>>) = known.iter().cloned().unzip();
+        let values = values.concat();
+        let knobs = knobs_from(&terms, &values, &self.ranges);
+        let rig = rig_with(self.nominal, &knobs, &values)?;
+        let stack = self.scene.residuals_at(&rig, Wanted::ALL, self.include)?;
+        let beside =
+            Sensitivities::at(self.scene, self.nominal, &knobs, &values, &stack, self.include)?;
+        let gains = self.screen.test(self.scene, &stack, Some(&beside).filter(|b| !b.is_empty()));
+        Ok((stack, gains))
     }
 
     /// Whether the best model of these effects is not far behind `model` and may be where its fit got stuck: beside what has a form of its own, other
